@@ -1,0 +1,53 @@
+"""The one way into numba: cached, GIL-free kernels, compiled once per machine and version.
+
+The cache lies in the user's cache folder, so that a read-only install works. `NUMBA_CACHE_DIR`, when set,
+wins. `first_compilation()` tells whether this machine has never compiled these kernels, so that a run can say so.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+import platformdirs
+
+from ._version import __version__
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _cache_folder() -> Path:
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return Path(os.environ["NUMBA_CACHE_DIR"])
+    folder = Path(platformdirs.user_cache_dir("cadsculpt")) / f"kernels-{__version__}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError:
+        folder = Path(tempfile.gettempdir()) / f"cadsculpt-kernels-{__version__}"
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+CACHE_FOLDER = _cache_folder()
+numba.config.CACHE_DIR = str(CACHE_FOLDER)
+
+
+def first_compilation() -> bool:
+    """True when no compiled kernel of this version lies in the cache yet."""
+    return next(CACHE_FOLDER.rglob("*.nbi"), None) is None
+
+
+def njit(function: F) -> F:
+    """Compile with `cache=True, nogil=True` and no fastmath: signs that decide geometry must be IEEE's."""
+    return numba.njit(cache=True, nogil=True, fastmath=False)(function)  # type: ignore[no-any-return]
+
+
+def njit_inline(function: F) -> F:
+    """As `njit`, always inlined by LLVM's caller: for the scalar pieces of a kernel."""
+    return numba.njit(cache=True, nogil=True, fastmath=False, forceinline=True)(function)  # type: ignore[no-any-return]

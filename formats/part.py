@@ -1,0 +1,152 @@
+"""What a CAD file is to the rest of cadsculpt: a `Part` with numbered faces, that takes sculpted surfaces back.
+
+Every reader returns a `Part`; the registry decides which. Lengths of a part are always mm, whatever the file's unit
+(`Part.units` names it), because that is what `inspect` promises; parameters (u, v) and knots are the file's own.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..spline.surface import BSplineSurface
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaceEdge:
+    """One edge of a face, sampled along its trim curve.
+
+    uv (n, 2) parameters on the face's surface, points (n, 3) in mm at the same places; `neighbours` are the numbers of the
+    other faces that share the edge (empty for a free edge). A seam is the edge where a closed surface meets itself; a
+    degenerate edge is a pole, one point in space.
+    """
+
+    uv: Array
+    points: Array
+    neighbours: tuple[int, ...] = ()
+    seam: bool = False
+    degenerate: bool = False
+
+
+class Face(ABC):
+    """One face of a part. `number` counts from 1 in the part's order; `name` is unique in the part."""
+
+    number: int
+    name: str
+    kind: str
+    """bspline, bezier, plane, cylinder, cone, sphere, torus, revolution, extrusion, offset or other."""
+    trimmed: bool
+    """False when the face is its surface's whole domain."""
+    warning: str = ""
+    """Why the surface is not available, when it is not."""
+
+    @property
+    @abstractmethod
+    def surface(self) -> BSplineSurface:
+        """The face's surface in mm, trims and orientation set. Analytic kinds are converted to an equal B-spline."""
+
+    @property
+    @abstractmethod
+    def area(self) -> float:
+        """Area of the trimmed face, mm2."""
+
+    @property
+    @abstractmethod
+    def bbox(self) -> tuple[float, float, float, float, float, float]:
+        """xmin, ymin, zmin, xmax, ymax, zmax of the trimmed face, mm."""
+
+    @property
+    @abstractmethod
+    def edges(self) -> Sequence[FaceEdge]:
+        """The face's edges, all loops."""
+
+
+class Faces(Sequence[Face]):
+    """The faces of a part: by position (`faces[0]`), by name (`faces["top"]`) or by number (`faces.number(1)`)."""
+
+    def __init__(self, faces: Sequence[Face], where: str) -> None:
+        self._faces = tuple(faces)
+        self._where = where
+        self._by_name = {face.name: face for face in self._faces}
+
+    def __len__(self) -> int:
+        return len(self._faces)
+
+    def __iter__(self) -> Iterator[Face]:
+        return iter(self._faces)
+
+    def __getitem__(self, key: int | slice | str) -> Face:  # type: ignore[override]
+        if isinstance(key, str):
+            return self.named(key)
+        return self._faces[key]  # type: ignore[return-value]
+
+    def named(self, name: str) -> Face:
+        """The face of that name. Raises InputError with the nearest names when there is none."""
+        if name in self._by_name:
+            return self._by_name[name]
+        close = get_close_matches(name, self._by_name, n=3, cutoff=0.5)
+        known = ", ".join(list(self._by_name)[:6]) + (", ..." if len(self._by_name) > 6 else "")
+        mend = f"did you mean {' or '.join(close)}?" if close else f"its {len(self)} faces are {known}" if len(self) else ""
+        raise InputError(f"no face named {name!r}", where=self._where, mend=mend or "the part has no faces")
+
+    def number(self, number: int) -> Face:
+        """The face of that number, counted from 1. Raises InputError when there is none."""
+        if not 1 <= number <= len(self._faces):
+            raise InputError(f"no face number {number}", where=self._where, mend=f"it has faces 1 to {len(self)}")
+        return self._faces[number - 1]
+
+    def select(self, which: str | Sequence[str | int]) -> list[Face]:
+        """The faces a scene names: "all", or a list of names and numbers; each once, in the part's order."""
+        if isinstance(which, str):
+            return list(self._faces) if which == "all" else [self.named(which)]
+        chosen = {(self.number(w) if isinstance(w, int) else self.named(w)).number for w in which}
+        return [face for face in self._faces if face.number in chosen]
+
+
+@dataclass(frozen=True, slots=True)
+class Validity:
+    """The verdict of the CAD kernel's own checker on a part."""
+
+    valid: bool
+    faults: tuple[str, ...] = field(default=())
+
+
+class Part(ABC):
+    """A CAD file in memory."""
+
+    path: Path
+    format: str
+    """step, iges, 3dm, json or geomdl."""
+    units: str
+    """The length unit of the file ("mm", "in", ...), "" when the file has none."""
+    faces: Faces
+    warnings: list[str]
+
+    @abstractmethod
+    def sculpt(self, surfaces: Mapping[int, BSplineSurface]) -> None:
+        """Put sculpted surfaces (mm) in the place of those of the faces with these numbers.
+
+        Each surface has the degrees and trims of `faces.number(n).surface`, a knot vector that contains that surface's
+        knots, and a shape that differs from it by the control points. All other faces stay exactly as they are; edges and
+        vertices of the sculpted faces follow, tolerances are raised only where they must be.
+        """
+
+    @abstractmethod
+    def validity(self) -> Validity:
+        """What the CAD kernel's checker says of the part as it is now."""
+
+    @abstractmethod
+    def write(self, path: Path, format: str) -> None:
+        """Write the whole part as `format` (step, iges, 3dm, json), whole or not at all, byte-stable.
+
+        Raises InputError naming the reason when the format cannot hold the part or the disk is full.
+        """
