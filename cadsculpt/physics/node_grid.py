@@ -1,0 +1,159 @@
+"""Where the nodes of the lattice stand in (u, v), and a net fine enough to follow them.
+
+The nodes are independent of the points that collision uses (paper section 4.8). Along each direction every knot span is
+cut into cells of equal length in space; where a tool comes, knots are inserted at every second node (exactly: the shape
+does not change), so that the net can take the dent and the refit stays determined (Schoenberg and Whitney 1953).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import GeometryError, InputError
+from ..spline.matrices import breakpoints, design_matrix
+from ..spline.refine import insert_knots
+from ..spline.surface import BSplineSurface
+
+Array = NDArray[np.float64]
+
+MOST_NODES = 400_000
+"""Nodes on one patch's surface; above this a lattice takes minutes a step and the spacing is surely a slip."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NodeGrid:
+    """Node parameters u (nu,) and v (nv,) of one patch, and its surface with the knots that they need.
+
+    wrap_u, wrap_v : the direction is closed; its last node is the first one, and is left out.
+    window : ((u0, u1), (v0, v1)), the piece of the domain that carries nodes.
+    """
+
+    surface: BSplineSurface
+    u: Array
+    v: Array
+    wrap_u: bool
+    wrap_v: bool
+    window: tuple[tuple[float, float], tuple[float, float]]
+
+def node_grid(
+    surface: BSplineSurface,
+    spacing: tuple[float, float],
+    *,
+    window: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    refine: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    most_control_points: int = 20_000,
+) -> NodeGrid:
+    """Nodes about `spacing` apart (along u, along v; the surface's unit) and the refined surface.
+
+    window : the piece of the domain to cover; None is all of it, and a closed direction is always covered whole. refine : the piece where knots are inserted, None for
+    nowhere. Raises InputError when there would be more than MOST_NODES nodes, GeometryError when the net cannot be refined
+    inside `most_control_points`.
+    """
+    whole = surface.domain
+    closed = (surface.closed_u, surface.closed_v)
+    asked = window or whole
+    window = (whole[0] if closed[0] else asked[0], whole[1] if closed[1] else asked[1])
+    # a cut window needs a net that can move inside it and stand still outside
+    cut = [window[axis] != whole[axis] for axis in (0, 1)]
+    for stride in (2, 3, 4, 6, 8):
+        nodes, knots = [], []
+        for axis in (0, 1):
+            region = window[axis] if cut[axis] else (refine[axis] if refine is not None else None)
+            t, new = _along(surface, axis, spacing[axis], window, region, stride)
+            nodes.append(t)
+            knots.append(new)
+        count = len(nodes[0]) * len(nodes[1])
+        if count > MOST_NODES:
+            raise InputError(
+                f"{len(nodes[0])} x {len(nodes[1])} nodes on one face",
+                where=surface.name,
+                mend=f"choose a node spacing of {max(spacing) * (count / MOST_NODES) ** 0.5:.3g} or more",
+            )
+        r, s = surface.shape
+        if (r + len(knots[0])) * (s + len(knots[1])) <= max(most_control_points, r * s):
+            break
+    else:
+        raise GeometryError(
+            f"a net that follows nodes {spacing[0]:g} x {spacing[1]:g} apart needs more than "
+            f"{most_control_points} control points",
+            where=surface.name,
+            mend="raise refit.max_control_points or the node spacing",
+        )
+    fine = insert_knots(surface, knots[0], knots[1])
+    return NodeGrid(
+        fine,
+        nodes[0][:-1] if closed[0] else nodes[0],
+        nodes[1][:-1] if closed[1] else nodes[1],
+        closed[0],
+        closed[1],
+        window,
+    )
+
+
+def _along(
+    surface: BSplineSurface,
+    axis: int,
+    spacing: float,
+    window: tuple[tuple[float, float], tuple[float, float]],
+    refine: tuple[float, float] | None,
+    stride: int,
+) -> tuple[Array, Array]:
+    """Node parameters (n,) along one axis, ends included, and the knots to insert."""
+    degree = (surface.degree_u, surface.degree_v)[axis]
+    knots = (surface.knots_u, surface.knots_v)[axis]
+    low, high = window[axis]
+    inner = breakpoints(knots, degree)
+    borders = np.concatenate([[low], inner[(inner > low) & (inner < high)], [high]])
+    nodes, new = [borders[:1]], []
+    for a, b in zip(borders[:-1], borders[1:], strict=True):
+        t, length = _mean_arc_length(surface, axis, a, b, window[1 - axis])
+        touched = refine is not None and a < refine[1] and b > refine[0]
+        cells = max(1, int(np.ceil(length[-1] / spacing - 1e-9)))
+        if not touched or len(borders) == 2:
+            # an unrefined piece carries its degree's worth of freedom on its own nodes
+            cells = max(cells, 2 if len(borders) > degree + 1 else degree)
+        if touched:
+            cells = stride * int(np.ceil(cells / stride))
+        if length[-1] > 0:
+            inside = np.interp(np.linspace(0, length[-1], cells + 1)[1:-1], length, t)
+        else:
+            inside = np.linspace(a, b, cells + 1)[1:-1]
+        nodes.append(np.concatenate([inside, [b]]))
+        if touched:
+            marks = inside[stride - 1 :: stride]
+            if refine is not None:
+                marks = marks[(marks >= refine[0]) & (marks <= refine[1])]
+            new.append(marks)
+    t = np.concatenate(nodes)
+    added = np.concatenate(new) if new else np.zeros(0)
+    if refine is not None:
+        # a window's own ends become knots, so that supports end there
+        ends = [x for x in (low, high) if surface.domain[axis][0] < x < surface.domain[axis][1] and x not in knots]
+        added = np.sort(np.concatenate([added, ends]))
+    return _determined(knots, degree, t, added), added
+
+
+def _determined(knots: Array, degree: int, t: Array, added: Array) -> Array:
+    """Nodes that determine every control point whose support they cover: cells are halved until they do."""
+    refined = np.sort(np.concatenate([knots, added]))
+    for _ in range(6):
+        basis = design_matrix(refined, degree, t)
+        use = (basis != 0).any(axis=0)
+        if np.linalg.matrix_rank(basis[:, use]) == np.count_nonzero(use):
+            break
+        t = np.sort(np.concatenate([t, 0.5 * (t[1:] + t[:-1])]))
+    return t
+
+
+def _mean_arc_length(
+    surface: BSplineSurface, axis: int, a: float, b: float, across: tuple[float, float]
+) -> tuple[Array, Array]:
+    """Parameters and mean arc length, over a few iso-curves, from a to b along `axis`."""
+    t = np.linspace(a, b, 33)
+    c = np.linspace(across[0], across[1], 9)
+    points = surface.evaluate(t[:, None], c) if axis == 0 else surface.evaluate(c[None, :], t[:, None])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
+    return t, np.concatenate([[0.0], np.cumsum(steps)])
