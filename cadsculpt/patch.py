@@ -1,0 +1,344 @@
+"""One face prepared for sculpting: its net refined, its lattice, matrices and refit made (paper section 4.1, pre-processing)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .collide.detect import PatchGrid
+from .errors import InputError
+from .physics.explicit import stable_substep
+from .physics.forces import contact_damping, contact_stiffness
+from .physics.lattice import Lattice, build_lattice
+from .physics.material import Material
+from .physics.node_grid import NodeGrid, node_grid
+from .scene import ModelSpec, Scene
+from .spline.refit import Refit, held_control_points
+from .spline.surface import BSplineSurface
+from .spline.trim import box as trim_box
+from .spline.trim import inside
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Window = tuple[tuple[float, float], tuple[float, float]]
+
+GHOST = 1e-3
+"""Stiffness and density of the nodes outside a trimmed face, as a fraction of the material's (finite cell method: Parvizian,
+Duester, Rank 2007): soft enough to carry nothing, stiff enough to move along, so that the refit has data on both sides."""
+
+COLLAPSED = 0.2
+"""Nodes stop where the iso-curves towards a pole are shorter than this fraction of the longest one: nearer to the pole the
+cells are slivers that would dictate the time step."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceEdge:
+    """An edge of a face to be sculpted: uv (n, 2) along it, and the names of the other faces that share it."""
+
+    uv: Array
+    neighbours: tuple[str, ...] = ()
+    seam: bool = False
+    degenerate: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceFace:
+    """A face to be sculpted, in the scene's unit. `number` is the face's number in its part."""
+
+    number: int
+    name: str
+    surface: BSplineSurface
+    edges: tuple[SourceEdge, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """One sculpted face, prepared.
+
+    source : the face as read. surface : the same shape over a net fine enough to take the dent; `grid` (collision), `lattice`
+    (physics) and `refit` are made for it. u, v : node parameters. held (r, s) : control points that never move.
+    contact_stiffness [N/L^3], contact_damping [N s/L^3], friction : of its material.
+    """
+
+    body: int
+    source: SourceFace
+    surface: BSplineSurface
+    grid: PatchGrid
+    lattice: Lattice
+    refit: Refit
+    u: Array
+    v: Array
+    held: NDArray[np.bool_]
+    material_nodes: NDArray[np.bool_]
+    material: Material
+    contact_stiffness: float
+    contact_damping: float
+    substep: float
+    """The largest stable sub-step of the explicit integrator, contact included, in s."""
+
+    @property
+    def name(self) -> str:
+        return self.source.name
+
+
+def build_patch(
+    scene: Scene,
+    spec: ModelSpec,
+    body: int,
+    face: SourceFace,
+    spacing: tuple[float, float],
+    swept: Array,
+    unit: float,
+) -> Patch:
+    """Prepare one face. swept (k, 2, 3) : boxes that together hold every tool along its whole path.
+
+    Raises InputError or GeometryError naming the model and the face.
+    """
+    where = f"model {spec.name!r}, face {face.name!r}"
+    source = face.surface if spec.outward is None else replace(face.surface, outward=spec.outward)
+    source.validate()
+    window = node_window(source)
+    reached = reached_window(source, window, max(spacing), swept) if scene.refit.refine else None
+    nodes = node_grid(source, spacing, window=window, refine=reached, most_control_points=scene.refit.max_control_points)
+    surface = nodes.surface
+    normals = surface.normal(nodes.u[:, None], nodes.v)
+    if not np.isfinite(normals).all():
+        i, j = np.argwhere(~np.isfinite(normals).all(axis=2))[0]
+        raise InputError(
+            f"the surface has no normal at u = {nodes.u[i]:g}, v = {nodes.v[j]:g}",
+            where=where,
+            mend="choose another face, or repair this one",
+        )
+    material = material_of(scene, spec.material)
+    on_face = inside(
+        surface, _cell_middles(nodes.u, surface, 0, wrap=nodes.wrap_u), _cell_middles(nodes.v, surface, 1, wrap=nodes.wrap_v)
+    )
+    ghost = replace(
+        material,
+        youngs_modulus=GHOST * material.youngs_modulus,
+        density=GHOST * material.density,
+        yield_strain=float("inf"),
+        name="beyond the trims",
+    )
+    thickness = spec.thickness
+    held_edges = [edge for edge in face.edges if edge.neighbours and spec.edges == "held" and not edge.seam]
+    lattice = build_lattice(
+        surface.evaluate(nodes.u[:, None], nodes.v),
+        -normals,
+        nodes.u,
+        nodes.v,
+        thickness=thickness,
+        layers=spec.layers,
+        material=[material, ghost],
+        cell_material=np.repeat(np.where(on_face, 0, 1)[:, :, None], spec.layers, axis=2),
+        wrap=(nodes.wrap_u, nodes.wrap_v),
+        period=tuple(end - start for start, end in surface.domain),
+        anchored=_anchored(spec, face, nodes, held_edges),
+        metres_per_unit=unit,
+    )
+    held = _held(surface, nodes, face, held_edges)
+    stiffness = contact_stiffness(material, thickness, min(spacing), unit)
+    return Patch(
+        body=body,
+        source=face,
+        surface=surface,
+        grid=PatchGrid.of(surface, scene.solver.resolution),
+        lattice=lattice,
+        refit=Refit.of(surface, nodes.u, nodes.v, held),
+        u=nodes.u,
+        v=nodes.v,
+        held=held,
+        material_nodes=_nodes_of_cells(on_face, wrap=(nodes.wrap_u, nodes.wrap_v)),
+        material=material,
+        contact_stiffness=stiffness,
+        contact_damping=contact_damping(material, stiffness, lattice),
+        substep=stable_substep(lattice),
+    )
+
+
+def material_of(scene: Scene, name: str) -> Material:
+    """The material that a scene names: one of its tables, or a preset."""
+    spec = scene.material_of(name)
+    return Material(
+        youngs_modulus=spec.youngs_modulus,
+        density=spec.density,
+        damping=spec.damping,
+        yield_strain=float("inf") if isinstance(spec.yield_strain, str) else spec.yield_strain,
+        hardening=spec.hardening,
+        friction=spec.friction,
+        name=name,
+    )
+
+
+def mean_lengths(surface: BSplineSurface) -> tuple[float, float]:
+    """Mean length of the face along u and along v, inside its trims' box."""
+    (u0, u1), (v0, v1) = face_window(surface)
+    points = surface.evaluate(np.linspace(u0, u1, 33)[:, None], np.linspace(v0, v1, 33))
+    return (
+        float(np.linalg.norm(np.diff(points, axis=0), axis=2).sum(axis=0).mean()),
+        float(np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1).mean()),
+    )
+
+
+def face_window(surface: BSplineSurface) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The piece of the domain that holds the trimmed face: the trims' box, cut to the domain."""
+    (u0, u1), (v0, v1) = surface.domain
+    if surface.trims is None:
+        return (u0, u1), (v0, v1)
+    low, high = trim_box(surface.trims)
+    u = (max(u0, float(low[0])), min(u1, float(high[0])))
+    v = (max(v0, float(low[1])), min(v1, float(high[1])))
+    return (u if u[0] < u[1] else (u0, u1)), (v if v[0] < v[1] else (v0, v1))
+
+
+def node_window(surface: BSplineSurface) -> Window:
+    """The piece of the domain that gets nodes: the trimmed face's box with a margin, short of poles.
+
+    A box that leaves out less than three tenths of the domain is the whole domain: cutting would cost more than it saves.
+    """
+    result = []
+    for axis, (low, high) in enumerate(face_window(surface)):
+        start, end = surface.domain[axis]
+        margin = 0.1 * (high - low)
+        low, high = max(start, low - margin), min(end, high + margin)
+        if high - low > 0.7 * (end - start):
+            low, high = start, end
+        result.append((low, high))
+    for axis in (0, 1):
+        low, high = result[axis]
+        t = np.linspace(low, high, 201)
+        across = np.linspace(*result[1 - axis], 33)
+        points = surface.evaluate(t[:, None], across) if axis == 0 else surface.evaluate(across[None, :], t[:, None])
+        length = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
+        wide = np.flatnonzero(length >= COLLAPSED * length.max())
+        if len(wide):
+            result[axis] = (
+                low if length[0] > 1e-6 * length.max() else float(t[wide[0]]),
+                high if length[-1] > 1e-6 * length.max() else float(t[wide[-1]]),
+            )
+    return result[0], result[1]
+
+
+def reached_window(surface: BSplineSurface, window: Window, spacing: float, swept: Array) -> Window | None:
+    """The (u, v) box of the surface that the swept boxes (k, 2, 3) come near to; None when they stay away from it."""
+    u = np.linspace(*window[0], 65)
+    v = np.linspace(*window[1], 65)
+    points = surface.evaluate(u[:, None], v)
+    step = max(float(np.linalg.norm(np.diff(points, axis=k), axis=2).max()) for k in (0, 1))
+    reach = step + 3.0 * spacing
+    hit = np.zeros(points.shape[:2], dtype=np.bool_)
+    for low, high in swept:
+        hit |= ((points >= low - reach) & (points <= high + reach)).all(axis=2)
+    if not hit.any():
+        return None
+    rows, columns = np.flatnonzero(hit.any(axis=1)), np.flatnonzero(hit.any(axis=0))
+    return (
+        (float(u[max(0, rows[0] - 1)]), float(u[min(64, rows[-1] + 1)])),
+        (float(v[max(0, columns[0] - 1)]), float(v[min(64, columns[-1] + 1)])),
+    )
+
+
+def _cell_middles(t: Array, surface: BSplineSurface, axis: int, *, wrap: bool) -> Array:
+    """Middle parameter of each cell of nodes; a closed direction has a last cell that runs over the seam."""
+    ends = np.concatenate([t, [surface.domain[axis][1]]]) if wrap else t
+    return 0.5 * (ends[1:] + ends[:-1])
+
+
+def _nodes_of_cells(cells: Mask, *, wrap: tuple[bool, bool]) -> Mask:
+    """Nodes (nu, nv) that belong to at least one of the marked cells."""
+    nodes = cells
+    for axis in (0, 1):
+        if wrap[axis]:
+            nodes = nodes | np.roll(nodes, 1, axis=axis)
+        else:
+            pad = [(1, 0) if k == axis else (0, 0) for k in (0, 1)]
+            after = [(0, 1) if k == axis else (0, 0) for k in (0, 1)]
+            nodes = np.pad(nodes, pad) | np.pad(nodes, after)
+    return nodes
+
+
+def _held(surface: BSplineSurface, nodes: NodeGrid, face: SourceFace, edges: Sequence[SourceEdge]) -> Mask:
+    """Control points that never move: under held edges, at poles, and those that reach beyond the nodes' window."""
+    held = np.zeros(surface.shape, dtype=np.bool_)
+    for edge in [*edges, *(edge for edge in face.edges if edge.degenerate)]:
+        held |= held_control_points(surface, _dense(edge.uv, surface))
+    for axis, (knots, degree) in enumerate(((surface.knots_u, surface.degree_u), (surface.knots_v, surface.degree_v))):
+        low, high = nodes.window[axis]
+        start, end = surface.domain[axis]
+        count = surface.shape[axis]
+        outside = np.zeros(count, dtype=np.bool_)
+        if low > start:
+            outside |= knots[:count] < low
+        if high < end:
+            outside |= knots[degree + 1 : degree + 1 + count] > high
+        held |= outside[:, None] if axis == 0 else outside[None, :]
+    return held
+
+
+def _dense(uv: Array, surface: BSplineSurface) -> Array:
+    """The polyline uv with steps so short that no knot span is jumped over."""
+    spans = [
+        np.diff(np.unique(knots[degree : len(knots) - degree])).min()
+        for knots, degree in ((surface.knots_u, surface.degree_u), (surface.knots_v, surface.degree_v))
+    ]
+    steps = np.abs(np.diff(uv, axis=0)) / np.array(spans)
+    pieces = np.clip(np.ceil(4.0 * steps.max(axis=1)), 1, 1000).astype(np.int64)
+    parts = [a + (b - a) * (np.arange(n) / n)[:, None] for a, b, n in zip(uv[:-1], uv[1:], pieces, strict=True)]
+    return np.concatenate([*parts, uv[-1:]])
+
+
+def _anchored(spec: ModelSpec, face: SourceFace, nodes: NodeGrid, held: Sequence[SourceEdge]) -> Mask:
+    """Nodes (nu, nv, layers + 1) that stay where they are; layer 0 is the surface."""
+    shape = (len(nodes.u), len(nodes.v))
+    through = np.zeros(shape, dtype=np.bool_)  # anchored through the whole thickness
+    wrap = (nodes.wrap_u, nodes.wrap_v)
+    for edge in held:
+        through |= _crossed(edge.uv, nodes)
+    names: set[str] = set()
+    if not isinstance(spec.anchor, str):
+        for item in spec.anchor:
+            if isinstance(item, str):
+                names.add(item)
+            elif item.face is None or item.face in (face.name, face.number):
+                through |= _in_range(nodes.u, item.u)[:, None] & _in_range(nodes.v, item.v)[None, :]
+    for edge in face.edges:
+        if not edge.seam and (spec.anchor == "edges" or names.intersection(edge.neighbours)):
+            through |= _crossed(edge.uv, nodes)
+    if spec.anchor == "edges":
+        for axis in (0, 1):
+            if not wrap[axis]:
+                border = (slice(None),) * axis + ([0, -1],)
+                through[border] = True
+    # a window cut out of the surface ends in material that goes on
+    for axis in (0, 1):
+        for end, index in ((0, 0), (1, -1)):
+            if nodes.window[axis][end] != nodes.surface.domain[axis][end]:
+                through[(slice(None),) * axis + (index,)] = True
+    anchored = np.repeat(through[:, :, None], spec.layers + 1, axis=2)
+    if spec.anchor == "base":
+        anchored[:, :, -1] = True
+    return anchored
+
+
+def _in_range(t: Array, limits: tuple[float, float] | None) -> Mask:
+    return np.ones(len(t), dtype=np.bool_) if limits is None else (t >= limits[0]) & (t <= limits[1])
+
+
+def _crossed(uv: Array, nodes: NodeGrid) -> Mask:
+    """Nodes (nu, nv) at the corners of the cells that a polyline runs through."""
+    mark = np.zeros((len(nodes.u), len(nodes.v)), dtype=np.bool_)
+    points = np.concatenate([uv[:-1] + f * np.diff(uv, axis=0) for f in np.linspace(0, 1, 9)])
+    for a in (0, 1):
+        for b in (0, 1):
+            i = _neighbour(points[:, 0], nodes.u, a, wrap=nodes.wrap_u)
+            j = _neighbour(points[:, 1], nodes.v, b, wrap=nodes.wrap_v)
+            mark[i, j] = True
+    return mark
+
+
+def _neighbour(t: Array, nodes: Array, side: int, *, wrap: bool) -> NDArray[np.int64]:
+    index = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - (1 if wrap else 2)) + side
+    return index % len(nodes)

@@ -1,0 +1,207 @@
+"""A run: the loop over a `Session` along the scripted tool paths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .collide.distance import sampled_distance
+from .errors import InputError, SimulationError
+from .expect import Expectation, evaluate
+from .frames import FrameMaker
+from .history import History, Summary
+from .model import Model
+from .record import ContactRecord, Frame, StepRecord
+from .session import Buildable, Session
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunResult:
+    """What a run leaves behind.
+
+    converged : False when the simulation became unstable; `failure` says how, and everything up to that step is kept.
+    warnings : what the user should know, step ranges of residual penetration above the scene's limit among them.
+    """
+
+    session: Session
+    history: History
+    summary: Summary
+    expectations: tuple[Expectation, ...]
+    converged: bool
+    failure: str = ""
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """Converged, and every expectation holds."""
+        return self.converged and all(expectation.ok for expectation in self.expectations)
+
+
+@dataclass(slots=True)
+class Hooks:
+    """Calls a run makes while it goes; all optional.
+
+    on_step : after every step. on_frame : at the scene's frame rate, first and last included. on_progress : (step, steps).
+    on_checkpoint : after every step, with a function that collects the arrays to resume from, should the caller want them.
+    """
+
+    on_step: Callable[[StepRecord, ContactRecord], None] | None = None
+    on_frame: Callable[[Frame], None] | None = None
+    on_progress: Callable[[int, int], None] | None = None
+    on_checkpoint: Callable[[int, Callable[[], dict[str, Array]]], None] | None = None
+
+
+@dataclass(slots=True)
+class _Clearance:
+    """Which pairs' distance the expectations ask for."""
+
+    wanted: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+
+    @classmethod
+    def of(cls, model: Model) -> _Clearance:
+        wanted = np.zeros((len(model.bodies), len(model.tools)), dtype=np.bool_)
+        names = [tool.name for tool in model.tools]
+        for spec in model.scene.expect:
+            if spec.what == "clearance" and spec.pair is None:
+                wanted[:] = True
+            elif spec.what == "clearance" and spec.pair is not None:
+                first, second = spec.pair
+                body, tool = (second, first) if first in names else (first, second)
+                wanted[model.bodies.index(body), names.index(tool)] = True
+        return cls(wanted)
+
+    def measure(self, session: Session) -> Array:
+        model, state = session.model, session.state
+        distance = np.full(self.wanted.shape, np.nan)
+        for body, tool in np.argwhere(self.wanted):
+            placed = model.tools[tool].tool.placed(state.poses[tool])
+            distance[body, tool] = min(
+                sampled_distance(patch.grid, state.control_points[i], placed)
+                for i, patch in enumerate(model.patches)
+                if patch.body == body
+            )
+        return distance
+
+
+def run(
+    source: Model | Buildable,
+    *,
+    hooks: Hooks | None = None,
+    on_frame: Callable[[Frame], None] | None = None,
+    clock: Callable[[], float] | None = None,
+    resume: dict[str, Array] | None = None,
+) -> RunResult:
+    """Run a scene to the end of its tool paths.
+
+    clock : a timer in seconds, for `Session.timing`; without one nothing is timed. resume : arrays of a checkpoint.
+    Raises InputError when a tool starts inside a part. An unstable simulation ends the run with `converged` False.
+    """
+    hooks = hooks or Hooks(on_frame=on_frame)
+    session = Session(source, clock=clock)
+    model = session.model
+    history = History.empty(len(model.bodies), len(model.tools))
+    if resume is not None:
+        session.restore(resume)
+        history = History.of_arrays(resume)
+    else:
+        refuse_tools_inside(session)
+    clearance = _Clearance.of(model)
+    frames = FrameMaker.of(session) if hooks.on_frame else None
+    every = max(1, round(1.0 / (model.scene.output.frames_per_second * model.step)))
+    if frames and hooks.on_frame and resume is None:
+        hooks.on_frame(frames.frame())
+    failure = ""
+    while session.state.step < model.steps:
+        try:
+            reactions = session.step(dt=model.step_length(session.state.step))
+        except SimulationError as error:
+            failure = str(error)
+            break
+        state = session.state
+        history.add(state.time, session.contacts, session.forces, session.depths, clearance.measure(session))
+        history.max_displacement = max(
+            history.max_displacement,
+            *(
+                float(np.linalg.norm(session.displacement(i), axis=2)[patch.material_nodes].max(initial=0.0))
+                for i, patch in enumerate(model.patches)
+            ),
+        )
+        if hooks.on_step:
+            each = [reactions[tool.name] for tool in model.tools]
+            record = StepRecord(
+                state.step,
+                state.time,
+                np.array([r.force for r in each]),
+                np.array([r.torque for r in each]),
+                np.array([r.contact_area for r in each]),
+                np.array([r.max_depth for r in each]),
+                np.array([r.max_penetration for r in each]),
+            )
+            hooks.on_step(record, ContactRecord(state.step, state.time, session.contacts, session.forces))
+        if frames and hooks.on_frame and (state.step % every == 0 or state.step == model.steps):
+            hooks.on_frame(frames.frame())
+        if hooks.on_progress:
+            hooks.on_progress(state.step, model.steps)
+        if hooks.on_checkpoint:
+            hooks.on_checkpoint(state.step, lambda: {**session.arrays(), **history.arrays()})
+    summary = summarise(session, history)
+    return RunResult(
+        session=session,
+        history=history,
+        summary=summary,
+        expectations=evaluate(model, history, summary),
+        converged=not failure,
+        failure=failure,
+        warnings=tuple(_warnings(model, history, summary)),
+    )
+
+
+def refuse_tools_inside(session: Session) -> None:
+    """Raise InputError when a tool starts deeper in a part than the scene lets it stay."""
+    model = session.model
+    contacts = session.detect().contacts
+    if len(contacts) and contacts.depth.max() > model.scene.solver.max_penetration:
+        worst = int(np.argmax(contacts.depth))
+        tool, body = model.tools[int(contacts.b[worst])].name, model.bodies[int(contacts.a[worst])]
+        raise InputError(
+            f"the tool {tool!r} starts inside the part {body!r}, {contacts.depth[worst]:.4g} {model.scene.units} deep",
+            where=model.scene.name,
+            mend="let its path start outside",
+        )
+
+
+def summarise(session: Session, history: History) -> Summary:
+    """The numbers of result.json."""
+    errors = [session.refit_error(i) for i in range(len(session.model.patches))]
+    return Summary(
+        first_contact=history.first_contact(),
+        max_depth=history.greatest("depth"),
+        max_penetration=history.greatest("penetration"),
+        max_force=history.greatest("force"),
+        max_contact_area=history.greatest("area"),
+        max_displacement=history.max_displacement,
+        refit_max_error=max(error.maximum for error in errors),
+        refit_rms_error=float(np.sqrt(np.mean([error.rms**2 for error in errors]))),
+    )
+
+
+def _warnings(model: Model, history: History, summary: Summary) -> list[str]:
+    unit = model.scene.units
+    lines = []
+    limit = model.scene.solver.max_penetration
+    for first, last, worst in history.too_deep(limit):
+        steps = f"step {first}" if first == last else f"steps {first} to {last}"
+        lines.append(f"{steps}: residual penetration up to {worst:.3g} {unit}, above max_penetration {limit:.3g} {unit}")
+    if summary.refit_max_error > model.scene.refit.tolerance:
+        lines.append(
+            f"the refit surfaces are up to {summary.refit_max_error:.3g} {unit} away from their nodes, "
+            f"above refit.tolerance {model.scene.refit.tolerance:.3g} {unit}"
+        )
+    if summary.first_contact is None:
+        lines.append("no tool touched a part")
+    return lines

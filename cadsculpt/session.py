@@ -1,0 +1,309 @@
+"""The heart: one `Session` steps a model under moving tools (paper section 4.1, run-time phase).
+
+Each step: collide with the tools where they are, let the contact forces and the lattice act for dt while the tools move,
+refit the control points to the moved nodes. Nothing here prints, reads a clock or touches a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .collide.contacts import Contacts
+from .collide.detect import Counters, DetectCache, DetectOptions, Detection, detect
+from .errors import InputError
+from .model import Model
+from .motion.pose import Pose
+from .physics.explicit import ContactLoad, LatticeState, StepForces, advance
+from .physics.forces import node_weights
+from .spline.refit import RefitError
+from .spline.surface import BSplineSurface
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+_LATTICE_STATE = ("x", "velocity", "rest_length")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reaction:
+    """What a tool feels, averaged over the step: force (3,) [N] and torque (3,) [N m] about the origin of its frame.
+
+    contact_area [L^2], max_depth [L] : of the contacts at the start of the step. max_penetration [L] : at its end.
+    """
+
+    force: Array
+    torque: Array
+    contact_area: float
+    max_depth: float
+    max_penetration: float
+
+
+@dataclass(slots=True, eq=False)
+class State:
+    """Everything that changes: time [s], tool poses, and per patch the lattice and the control points."""
+
+    time: float
+    step: int
+    poses: list[Pose]
+    lattices: list[LatticeState]
+    control_points: list[Array]
+
+
+class Buildable(Protocol):
+    """A scene that can read its own files."""
+
+    def build(self) -> Model: ...
+
+
+@dataclass(slots=True, eq=False)
+class Session:
+    """A simulation in progress.
+
+    source : a `Model`, or a scene that builds one. After `step`, `contacts` and `forces` (n, 3) [N, on the model] hold
+    the contacts that acted during it, `depths` (n,) how deep they are at its end. `clock`, a timer in seconds, fills `timing`
+    with the seconds that each phase of each step took.
+    """
+
+    source: Model | Buildable
+    clock: Callable[[], float] | None = None
+    model: Model = field(init=False)
+    state: State = field(init=False)
+    contacts: Contacts = field(init=False)
+    forces: Array = field(init=False)
+    depths: Array = field(init=False)
+    counters: Counters = field(init=False)
+    timing: dict[str, list[float]] = field(init=False)
+    _caches: list[DetectCache] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.model = self.source if isinstance(self.source, Model) else self.source.build()
+        model = self.model
+        self.state = State(
+            time=0.0,
+            step=0,
+            poses=[tool.path.pose(0.0) for tool in model.tools],
+            lattices=[LatticeState.at_rest(patch.lattice) for patch in model.patches],
+            control_points=[patch.surface.control_points.copy() for patch in model.patches],
+        )
+        self._caches = [DetectCache() for _ in model.bodies]
+        self.contacts, self.forces, self.depths = Contacts.none(), np.zeros((0, 3)), np.zeros(0)
+        self.counters = Counters()
+        self.timing = {"collide": [], "lattice": [], "refit": []}
+
+    # ------------------------------------------------------------------ step
+
+    def step(self, poses: Mapping[str, Pose] | None = None, dt: float | None = None) -> dict[str, Reaction]:
+        """Move the tools to `poses` (by name; those not named follow their paths) within dt seconds.
+
+        Raises SimulationError when the lattice becomes unstable, InputError for a tool that does not exist.
+        """
+        model, state = self.model, self.state
+        dt = model.step if dt is None else dt
+        if not (np.isfinite(dt) and dt > 0):
+            raise InputError(f"a step of {dt} s", mend="a step takes a positive time")
+        before, after = state.poses, self._targets(poses or {}, state.time + dt)
+        tick = self._tick()
+        contacts = self.detect(before, self._margin(before, after)).contacts
+        collided = self._tick()
+        forces, depths = self._advance(contacts, _tool_velocities(contacts, before, after, dt), dt)
+        advanced = self._tick()
+        for index in range(len(model.patches)):
+            self._refit(index)
+        for phase, seconds in zip(
+            ("collide", "lattice", "refit"), (collided - tick, advanced - collided, self._tick() - advanced), strict=True
+        ):
+            self.timing[phase].append(seconds)
+        reactions = self._reactions(contacts, forces, depths, before, after)
+        state.poses, state.time, state.step = after, state.time + dt, state.step + 1
+        acting = (depths > 0) | (forces != 0).any(axis=1)
+        self.contacts, self.forces, self.depths = _chosen(contacts, acting), forces[acting], depths[acting]
+        return reactions
+
+    def detect(self, poses: list[Pose] | None = None, margin: float = 0.0) -> Detection:
+        """Contacts of all models with all tools at these poses (default: where they are), depth >= -margin."""
+        model, state = self.model, self.state
+        placed = [tool.tool.placed(pose) for tool, pose in zip(model.tools, poses or state.poses, strict=True)]
+        options = model.options
+        options = DetectOptions(
+            mode=options.mode, tolerance=options.tolerance, delta=options.delta, margin=margin
+        )
+        parts = []
+        for body in range(len(model.bodies)):
+            index = [i for i, patch in enumerate(model.patches) if patch.body == body]
+            found = detect(
+                [model.patches[i].grid for i in index],
+                [state.control_points[i] for i in index],
+                placed,
+                options,
+                body=body,
+                cache=self._caches[body],
+            )
+            self.counters.add(found.counters)
+            parts.append((_renumbered(found.contacts, np.array(index, dtype=np.int64)), found))
+        if len(parts) == 1:
+            return Detection(parts[0][0], parts[0][1].counters)
+        return Detection(Contacts.joined([contacts for contacts, _ in parts]), parts[-1][1].counters)
+
+    # ----------------------------------------------------------------- read
+
+    def surface(self, patch: int) -> BSplineSurface:
+        """The patch as it is now, over its refined net."""
+        return self.model.patches[patch].surface.with_control_points(self.state.control_points[patch])
+
+    def displacement(self, patch: int) -> Array:
+        """How far the surface nodes of a patch have moved: (nu, nv, 3)."""
+        lattice = self.model.patches[patch].lattice
+        nu, nv, nl = lattice.shape
+        return (self.state.lattices[patch].x - lattice.nodes).reshape(nu, nv, nl, 3)[:, :, 0]
+
+    def refit_error(self, patch: int) -> RefitError:
+        """Distance between the surface nodes that are material and the refit surface."""
+        prepared = self.model.patches[patch]
+        delta = self.state.control_points[patch] - prepared.surface.control_points
+        return prepared.refit.error(self.displacement(patch), delta, prepared.material_nodes)
+
+    # ----------------------------------------------------------- checkpoint
+
+    def arrays(self) -> dict[str, Array]:
+        """The whole state as arrays: what `restore` needs to go on as if nothing had happened."""
+        state = self.state
+        arrays: dict[str, Array] = {
+            "time": np.array(state.time),
+            "step": np.array(state.step),
+            "pose_at": np.array([pose.at for pose in state.poses]),
+            "pose_rotation": np.array([pose.rotation for pose in state.poses]),
+        }
+        for i, (lattice, net) in enumerate(zip(state.lattices, state.control_points, strict=True)):
+            arrays[f"net_{i}"] = net
+            for name in _LATTICE_STATE:
+                arrays[f"lattice_{i}_{name}"] = np.asarray(getattr(lattice, name))
+        return arrays
+
+    def restore(self, arrays: Mapping[str, Array]) -> None:
+        """Go back to a state that `arrays` gave. Raises InputError when it is not one of this model."""
+        try:
+            state = State(
+                time=float(arrays["time"]),
+                step=int(arrays["step"]),
+                poses=[Pose(a, r) for a, r in zip(arrays["pose_at"], arrays["pose_rotation"], strict=True)],
+                lattices=[
+                    replace(
+                        LatticeState.at_rest(patch.lattice),
+                        **{name: np.array(arrays[f"lattice_{i}_{name}"]) for name in _LATTICE_STATE},
+                    )
+                    for i, patch in enumerate(self.model.patches)
+                ],
+                control_points=[np.array(arrays[f"net_{i}"]) for i in range(len(self.model.patches))],
+            )
+        except KeyError as error:
+            raise InputError(f"the checkpoint lacks {error}", mend="start the run again with --force") from None
+        shapes = [net.shape for net in state.control_points], [lattice.x.shape for lattice in state.lattices]
+        mine = [p.surface.control_points.shape for p in self.model.patches], [p.lattice.nodes.shape for p in self.model.patches]
+        if shapes != mine or len(state.poses) != len(self.model.tools):
+            raise InputError("the checkpoint belongs to another scene", mend="start the run again with --force")
+        self.state = state
+
+    # -------------------------------------------------------------- internals
+
+    def _tick(self) -> float:
+        return self.clock() if self.clock is not None else 0.0
+
+    def _advance(self, contacts: Contacts, velocity: Array, dt: float) -> tuple[Array, Array]:
+        """Lattices under the contact forces for dt: mean forces (n, 3) on the model and depths (n,) at the end."""
+        model, state = self.model, self.state
+        forces = np.zeros((len(contacts), 3))
+        depths = np.array(contacts.depth)
+        for index, patch in enumerate(model.patches):
+            mine = np.flatnonzero(contacts.face == index)
+            load = None
+            if len(mine):
+                nodes, weights = node_weights(patch.lattice, contacts.u[mine], contacts.v[mine])
+                load = ContactLoad(
+                    nodes=nodes,
+                    weights=weights,
+                    normal=contacts.normal[mine],
+                    depth=contacts.depth[mine],
+                    area=contacts.area[mine],
+                    velocity=velocity[mine],
+                    stiffness=np.full(len(mine), patch.contact_stiffness),
+                    damping=np.full(len(mine), patch.contact_damping),
+                    friction=np.full(len(mine), patch.material.friction),
+                )
+            result: StepForces = advance(
+                patch.lattice, state.lattices[index], load, dt, substep=model.scene.solver.substep
+            )
+            forces[mine], depths[mine] = result.mean_force, result.depth
+        return forces, depths
+
+    def _targets(self, poses: Mapping[str, Pose], time: float) -> list[Pose]:
+        names = [tool.name for tool in self.model.tools]
+        for name in poses:
+            if name not in names:
+                raise InputError(f"no tool named {name!r}", mend=f"the scene's tools are {', '.join(names)}")
+        return [poses[tool.name] if tool.name in poses else tool.path.pose(time) for tool in self.model.tools]
+
+    def _margin(self, before: list[Pose], after: list[Pose]) -> float:
+        """How far any point of a tool can come nearer within the step: contacts to be are watched as well."""
+        margin = 0.0
+        for tool, a, b in zip(self.model.tools, before, after, strict=True):
+            corners = tool.tool.box_corners
+            reach = float(np.linalg.norm(corners, axis=1).max()) if np.isfinite(corners).all() else self.model.size
+            turn = float(np.linalg.norm(b.rotation - a.rotation))
+            margin = max(margin, float(np.linalg.norm(b.at - a.at)) + reach * turn)
+        return margin
+
+    def _refit(self, index: int) -> None:
+        """Control points from the moved nodes (paper eq. 3)."""
+        patch = self.model.patches[index]
+        delta = patch.refit.fit(self.displacement(index), self.model.refit_threshold)
+        rest = patch.surface.control_points
+        self.state.control_points[index] = np.where(delta == 0.0, rest, rest + delta)
+
+    def _reactions(
+        self, contacts: Contacts, forces: Array, depths: Array, before: list[Pose], after: list[Pose]
+    ) -> dict[str, Reaction]:
+        reactions = {}
+        for index, tool in enumerate(self.model.tools):
+            mine = contacts.b == index
+            touching = mine & (contacts.depth > 0)
+            force = -forces[mine].sum(axis=0)
+            arm = contacts.point[mine] - 0.5 * (before[index].at + after[index].at)
+            torque = -np.cross(arm, forces[mine]).sum(axis=0) * self.model.metres_per_unit
+            reactions[tool.name] = Reaction(
+                force,
+                torque,
+                float(contacts.area[touching].sum()),
+                float(contacts.depth[touching].max(initial=0.0)),
+                float(depths[mine].max(initial=0.0)),
+            )
+        return reactions
+
+
+def _tool_velocities(contacts: Contacts, before: list[Pose], after: list[Pose], dt: float) -> Array:
+    """Mean velocity (n, 3) over the step of the tool's material at each contact."""
+    velocity = np.zeros((len(contacts), 3))
+    for index, (a, b) in enumerate(zip(before, after, strict=True)):
+        mine = contacts.b == index
+        velocity[mine] = (b.to_world(a.to_tool(contacts.point[mine])) - contacts.point[mine]) / dt
+    return velocity
+
+
+def _renumbered(contacts: Contacts, patches: NDArray[np.int64]) -> Contacts:
+    """Faces numbered in the model's list of patches instead of the body's own."""
+    return Contacts(
+        contacts.a, contacts.b, patches[contacts.face], contacts.u, contacts.v, contacts.point, contacts.normal,
+        contacts.depth, contacts.area, contacts.tool_point,
+    )  # fmt: skip
+
+
+def _chosen(contacts: Contacts, mask: Mask) -> Contacts:
+    return Contacts(
+        contacts.a[mask], contacts.b[mask], contacts.face[mask], contacts.u[mask], contacts.v[mask], contacts.point[mask],
+        contacts.normal[mask], contacts.depth[mask], contacts.area[mask], contacts.tool_point[mask],
+    )  # fmt: skip

@@ -1,0 +1,51 @@
+"""Compile, or load from the cache, every kernel that a scene's run will need: a tiny run with the same kinds of tools."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .model import SourceBody, build_model
+from .motion.path import ToolPath
+from .motion.pose import Pose
+from .patch import SourceFace
+from .scene import Scene
+from .session import Session
+from .spline.surface import BSplineSurface
+
+
+def warm_up(scene: Scene) -> None:
+    """Run two steps of a plate of four by four control points under the scene's kinds of tools."""
+    kinds = {"point" if t.shape == "point" else "surface" if t.shape == "surface" else "sphere" for t in scene.tool}
+    tools: list[dict[str, Any]] = [{"name": kind, "shape": kind} for kind in sorted(kinds)]
+    for tool in tools:
+        if tool["shape"] == "sphere":
+            tool["radius"] = 3.0
+        if tool["shape"] == "surface":
+            tool["file"] = "plate"
+    tiny = Scene.model_validate(
+        {
+            "units": "mm",
+            "model": [{"name": "plate", "file": "plate", "thickness": 2.0, "nodes": 2.0, "material": "clay"}],
+            "tool": tools,
+            "solver": {"resolution": 13, "mode": scene.solver.mode, "step": 1e-4},
+        }
+    )
+    low = {"point": -0.1, "sphere": 2.9, "surface": -0.1}
+    paths = {kind: ToolPath.resting(Pose(np.array([5.0, 5.0, low[kind]]))) for kind in kinds}
+    plate = _plate(10.0, 0.0)
+    body = SourceBody("plate", (SourceFace(1, "plate", plate),))
+    session = Session(build_model(tiny, [body], paths, {"surface": [_plate(4.0, 0.2)]}))
+    for _ in range(2):
+        session.step()
+    session.refit_error(0)
+
+
+def _plate(size: float, dome: float) -> BSplineSurface:
+    x = np.linspace(0.0, size, 5)
+    X, Y = np.meshgrid(x, x, indexing="ij")
+    Z = dome * ((X / size - 0.5) ** 2 + (Y / size - 0.5) ** 2)
+    knots = np.array([0.0, 0, 0, 0, 0.5, 1, 1, 1, 1])
+    shift = np.array([0.0, 0.0, 0.0]) if dome == 0.0 else np.array([-0.5 * size, -0.5 * size, 0.0])
+    return BSplineSurface(np.stack([X, Y, Z], axis=-1) + shift, knots, knots, 3, 3, outward=dome == 0.0)
