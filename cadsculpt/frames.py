@@ -110,7 +110,7 @@ class FrameMaker:
                 strain=nodal_strain(patch.lattice, state.lattices[i]),
                 plastic=nodal_plastic_set(patch.lattice, state.lattices[i]),
                 material=patch.lattice.cell_material.ravel(),
-                active=patch.lattice.cell_material.ravel() == 0,
+                active=patch.lattice.cell_material.ravel() != 1,  # 1 is the ghost beyond the trims
             )
             for i, patch in enumerate(model.patches)
         ]

@@ -24,6 +24,10 @@ from .units import metres_per_unit
 Array = NDArray[np.float64]
 
 
+STILL = 0.05
+"""Nodes that moved by less than this share of the refit's tolerance count as not moved: their control points keep their bits."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceBody:
     """The faces of one [[model]] that are to be sculpted."""
@@ -110,7 +114,7 @@ def build_model(
         step=step,
         steps=max(1, int(np.ceil(duration / step - 1e-9))),
         options=DetectOptions(mode=solver.mode, tolerance=solver.tolerance, delta=float(np.radians(solver.delta))),
-        refit_threshold=1e-3 * scene.refit.tolerance,
+        refit_threshold=STILL * scene.refit.tolerance,
         size=float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))),
     )
 

@@ -123,6 +123,7 @@ def build_patch(
         yield_strain=float("inf"),
         name="beyond the trims",
     )
+    materials, index = _zones(scene, spec, face, surface, nodes, [material, ghost])
     thickness = spec.thickness
     held_edges = [edge for edge in face.edges if edge.neighbours and spec.edges == "held" and not edge.seam]
     lattice = build_lattice(
@@ -132,8 +133,8 @@ def build_patch(
         nodes.v,
         thickness=thickness,
         layers=spec.layers,
-        material=[material, ghost],
-        cell_material=np.repeat(np.where(on_face, 0, 1)[:, :, None], spec.layers, axis=2),
+        material=materials,
+        cell_material=np.where(on_face, index, 1),
         wrap=(nodes.wrap_u, nodes.wrap_v),
         period=tuple(end - start for start, end in surface.domain),
         anchored=_anchored(spec, face, nodes, held_edges),
@@ -157,6 +158,20 @@ def build_patch(
         contact_damping=contact_damping(material, stiffness, lattice),
         substep=stable_substep(lattice),
     )
+
+
+def _zones(
+    scene: Scene, spec: ModelSpec, face: SourceFace, surface: BSplineSurface, nodes: NodeGrid, materials: list[Material]
+) -> tuple[list[Material], NDArray[np.int64]]:
+    """The zones' materials behind `materials`, and each cell's index among them: a cell belongs where its middle lies."""
+    u = _cell_middles(nodes.u, surface, 0, wrap=nodes.wrap_u)
+    v = _cell_middles(nodes.v, surface, 1, wrap=nodes.wrap_v)
+    index = np.zeros((len(u), len(v)), dtype=np.int64)
+    for zone in spec.zones:
+        if zone.face is None or zone.face in (face.name, face.number):
+            materials = [*materials, material_of(scene, zone.material)]
+            index[_in_range(u, zone.u)[:, None] & _in_range(v, zone.v)[None, :]] = len(materials) - 1
+    return materials, index
 
 
 def material_of(scene: Scene, name: str) -> Material:

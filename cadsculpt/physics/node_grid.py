@@ -1,8 +1,10 @@
 """Where the nodes of the lattice stand in (u, v), and a net fine enough to follow them.
 
 The nodes are independent of the points that collision uses (paper section 4.8). Along each direction every knot span is
-cut into cells of equal length in space; where a tool comes, knots are inserted at every second node (exactly: the shape
-does not change), so that the net can take the dent and the refit stays determined (Schoenberg and Whitney 1953).
+cut into cells of equal length in space. Where a tool comes, knots are inserted (exactly: the shape does not change): at the
+nodes for an odd degree, between them for an even one, few enough for the nodes to determine the net (Schoenberg and
+Whitney 1953). The surface can then follow the nodes wherever they go. With fewer knots the lattice has motions that the
+surface, and so the contact, does not see, and soft plastic material buckles into them.
 """
 
 from __future__ import annotations
@@ -21,6 +23,13 @@ Array = NDArray[np.float64]
 
 MOST_NODES = 400_000
 """Nodes on one patch's surface; above this a lattice takes minutes a step and the spacing is surely a slip."""
+
+
+STRIDES = (1, 2, 3, 4, 6, 8)
+"""Nodes per inserted knot, tried in this order until the net has few enough control points and is determined."""
+
+WORST_CONDITION = 1e7
+"""Condition number of a direction's basis above which a refit would amplify rounding to what a user could see."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +67,7 @@ def node_grid(
     window = (whole[0] if closed[0] else asked[0], whole[1] if closed[1] else asked[1])
     # a cut window needs a net that can move inside it and stand still outside
     cut = [window[axis] != whole[axis] for axis in (0, 1)]
-    for stride in (2, 3, 4, 6, 8):
+    for stride in STRIDES:
         nodes, knots = [], []
         for axis in (0, 1):
             region = window[axis] if cut[axis] else (refine[axis] if refine is not None else None)
@@ -101,48 +110,76 @@ def _along(
     refine: tuple[float, float] | None,
     stride: int,
 ) -> tuple[Array, Array]:
-    """Node parameters (n,) along one axis, ends included, and the knots to insert."""
+    """Node parameters (n,) along one axis, ends included, and the knots to insert: a knot for every `stride` nodes."""
     degree = (surface.degree_u, surface.degree_v)[axis]
     knots = (surface.knots_u, surface.knots_v)[axis]
     low, high = window[axis]
     inner = breakpoints(knots, degree)
     borders = np.concatenate([[low], inner[(inner > low) & (inner < high)], [high]])
-    nodes, new = [borders[:1]], []
+    pieces: list[Array] = [borders[:1]]
     for a, b in zip(borders[:-1], borders[1:], strict=True):
         t, length = _mean_arc_length(surface, axis, a, b, window[1 - axis])
-        touched = refine is not None and a < refine[1] and b > refine[0]
         cells = max(1, int(np.ceil(length[-1] / spacing - 1e-9)))
-        if not touched or len(borders) == 2:
-            # an unrefined piece carries its degree's worth of freedom on its own nodes
-            cells = max(cells, 2 if len(borders) > degree + 1 else degree)
-        if touched:
-            cells = stride * int(np.ceil(cells / stride))
+        # a piece that is not refined carries its degree's worth of freedom on its own nodes
+        cells = max(cells, 2 if len(borders) > degree + 1 else degree)
         if length[-1] > 0:
             inside = np.interp(np.linspace(0, length[-1], cells + 1)[1:-1], length, t)
         else:
             inside = np.linspace(a, b, cells + 1)[1:-1]
-        nodes.append(np.concatenate([inside, [b]]))
-        if touched:
-            marks = inside[stride - 1 :: stride]
-            if refine is not None:
-                marks = marks[(marks >= refine[0]) & (marks <= refine[1])]
-            new.append(marks)
-    t = np.concatenate(nodes)
-    added = np.concatenate(new) if new else np.zeros(0)
-    if refine is not None:
-        # a window's own ends become knots, so that supports end there
-        ends = [x for x in (low, high) if surface.domain[axis][0] < x < surface.domain[axis][1] and x not in knots]
-        added = np.sort(np.concatenate([added, ends]))
-    return _determined(knots, degree, t, added), added
+        pieces += [inside, np.array([b])]
+    t = np.concatenate(pieces)
+    if refine is None:
+        return _determined(knots, degree, t), np.zeros(0)
+    periodic = (surface.periodic_u, surface.periodic_v)[axis]
+    # a window's own ends become knots, so that supports end there
+    ends = np.array([x for x in (low, high) if surface.domain[axis][0] < x < surface.domain[axis][1] and x not in knots])
+    for every in [s for s in STRIDES if s >= stride]:
+        added = np.union1d(_candidates(t, knots, degree, refine, every, open_ends=not periodic), ends)
+        if _is_determined(np.sort(np.concatenate([knots, added])), degree, t):
+            return t, added
+    return _determined(np.sort(np.concatenate([knots, ends])), degree, t), ends
 
 
-def _determined(knots: Array, degree: int, t: Array, added: Array) -> Array:
-    """Nodes that determine every control point whose support they cover: cells are halved until they do."""
-    refined = np.sort(np.concatenate([knots, added]))
+def _candidates(
+    t: Array, knots: Array, degree: int, refine: tuple[float, float], stride: int, *, open_ends: bool
+) -> Array:
+    """Knots for interpolation at the nodes t: at every stride-th node for an odd degree, between nodes for an even one.
+
+    At open ends of the domain the outermost (degree - 1) / 2 or degree / 2 of them are left out, as in "not a knot"
+    interpolation: the net has then as many control points as there are nodes.
+    """
+    marks = t[1:-1] if degree % 2 else 0.5 * (t[1:] + t[:-1])
+    drop = degree // 2
+    if open_ends and drop:
+        start, end = knots[degree], knots[-degree - 1]
+        first = drop if t[0] == start else 0
+        last = len(marks) - drop if t[-1] == end else len(marks)
+        marks = marks[first:last]
+    # a knot that the file brings takes the place of its nearest marks: of none but itself when it is simple and on a node
+    values, counts = np.unique(knots[(knots > t[0]) & (knots < t[-1])], return_counts=True)
+    for value, count in zip(values, counts, strict=True):
+        spare = marks[marks != value]
+        nearest = spare[np.argsort(np.abs(spare - value), kind="stable")[: count - degree % 2]]
+        marks = np.setdiff1d(marks, nearest)
+    if stride > 1:
+        marks = marks[stride // 2 :: stride]
+    marks = marks[(marks >= refine[0]) & (marks <= refine[1])]
+    return np.setdiff1d(marks, knots)
+
+
+def _is_determined(knots: Array, degree: int, t: Array) -> bool:
+    """Whether values at t determine every control point whose support they meet, and well."""
+    basis = design_matrix(knots, degree, t)
+    basis = basis[:, (basis != 0).any(axis=0)]
+    if basis.shape[1] > basis.shape[0]:
+        return False
+    return bool(np.linalg.cond(basis) < WORST_CONDITION)
+
+
+def _determined(knots: Array, degree: int, t: Array) -> Array:
+    """The nodes t, with cells halved until they determine the net."""
     for _ in range(6):
-        basis = design_matrix(refined, degree, t)
-        use = (basis != 0).any(axis=0)
-        if np.linalg.matrix_rank(basis[:, use]) == np.count_nonzero(use):
+        if _is_determined(knots, degree, t):
             break
         t = np.sort(np.concatenate([t, 0.5 * (t[1:] + t[:-1])]))
     return t

@@ -1,0 +1,8 @@
+"""`python -m cadsculpt`: the command line. It is found by name, because the engine knows nothing of the rooms above it."""
+
+from __future__ import annotations
+
+import importlib
+
+if __name__ == "__main__":
+    importlib.import_module("cadsculpt.cli.main").main()

@@ -1,0 +1,203 @@
+"""The springs of a lattice: forces g of paper eq. 4, plastic flow, energy and the stiffest frequency.
+
+Shared by both integrators. Kernels take positions as three padded rows: node n stands at index n + 1 of x[0], x[1], x[2],
+because a run of springs (Lattice.segments) may look one node beyond the arrays. The loops over a run are short, branchless
+and write one array each, so that the compiler turns them into vector instructions; `np.divide` divides without the test for
+zero that would prevent it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..jit import njit
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+TINY = 1e-300
+"""Added to squared lengths: springs between two nodes of one point have no direction, and no force either."""
+
+
+@njit
+def _lengths(xa: Array, xb: Array, ya: Array, yb: Array, za: Array, zb: Array, length: Array) -> None:
+    for m in range(len(length)):
+        dx = xb[m] - xa[m]
+        dy = yb[m] - ya[m]
+        dz = zb[m] - za[m]
+        length[m] = math.sqrt(dx * dx + dy * dy + dz * dz + TINY)
+
+
+@njit
+def _flow(length: Array, initial: Array, strain: Array, hardening: Array, rest: Array) -> None:
+    """Return mapping in one dimension with linear kinematic hardening (Simo and Hughes 1998, box 1.5), per spring.
+
+    With h the tangent modulus after yield over that before, the trial stress less the back stress, (L - L_p) - h / (1 - h)
+    (L_p - L_0), may not exceed y L_0; the rest length L_p moves by (1 - h) times the excess. Unloading is elastic.
+    """
+    for m in range(len(rest)):
+        soft = 1.0 - hardening[m]
+        trial = soft * length[m] - rest[m] + hardening[m] * initial[m]
+        limit = soft * strain[m] * initial[m]
+        over = trial - limit if trial > limit else (trial + limit if trial < -limit else 0.0)
+        rest[m] += over
+
+
+@njit
+def _tension(stiffness: Array, rest: Array, length: Array, q: Array) -> None:
+    """Force per unit of the spring's vector: k (L - L_p) / L."""
+    for m in range(len(q)):
+        q[m] = stiffness[m] * np.divide(length[m] - rest[m], length[m])
+
+
+@njit
+def _pull(q: Array, start: Array, end: Array, force: Array) -> None:
+    for m in range(len(q)):
+        force[m] += q[m] * (end[m] - start[m])
+
+
+@njit
+def _push(q: Array, start: Array, end: Array, force: Array) -> None:
+    for m in range(len(q)):
+        force[m] -= q[m] * (end[m] - start[m])
+
+
+@njit
+def spring_forces(
+    segments: Index,
+    stiffness: Array,
+    initial_length: Array,
+    yield_strain: Array,
+    hardening: Array,
+    plastic: bool,
+    x: Array,
+    rest_length: Array,
+    force: Array,
+    work: Array,
+) -> None:
+    """Add the forces of all springs, -g of eq. 4, to force (3, N + 2) for positions x (3, N + 2), both padded.
+
+    When `plastic`, springs strained beyond their yield flow first: rest_length (13, N) moves. work (2, >= longest run).
+    """
+    for row in range(len(segments)):
+        d, start, stop, shift = segments[row]
+        a, b = start + 1, stop + 1
+        c, e = a + shift, b + shift
+        length, q = work[0, : stop - start], work[1, : stop - start]
+        rest = rest_length[d, start:stop]
+        _lengths(x[0, a:b], x[0, c:e], x[1, a:b], x[1, c:e], x[2, a:b], x[2, c:e], length)
+        if plastic:
+            _flow(length, initial_length[d, start:stop], yield_strain[d, start:stop], hardening[d, start:stop], rest)
+        _tension(stiffness[d, start:stop], rest, length, q)
+        for axis in range(3):
+            _pull(q, x[axis, a:b], x[axis, c:e], force[axis, a:b])
+            _push(q, x[axis, a:b], x[axis, c:e], force[axis, c:e])
+
+
+@njit
+def spring_energy(segments: Index, stiffness: Array, x: Array, rest_length: Array) -> float:
+    """Elastic energy, the sum of k (L - L_p)^2 / 2 [N L]; x (N, 3)."""
+    energy = 0.0
+    for row in range(len(segments)):
+        d, start, stop, shift = segments[row]
+        for n in range(start, stop):
+            if stiffness[d, n] > 0.0:
+                stretch = _distance(x, n, n + shift) - rest_length[d, n]
+                energy += 0.5 * stiffness[d, n] * stretch * stretch
+    return energy
+
+
+@njit
+def _distance(x: Array, a: int, b: int) -> float:
+    return math.sqrt((x[b, 0] - x[a, 0]) ** 2 + (x[b, 1] - x[a, 1]) ** 2 + (x[b, 2] - x[a, 2]) ** 2)
+
+
+@njit
+def _tangent(stiffness: Array, rest: Array, length: Array, side: Array, along: Array) -> None:
+    """H = side + along d d of springs with vector d: side = k max(0, 1 - L_p / L), along = (k - side) / L^2."""
+    for m in range(len(side)):
+        ratio = np.divide(rest[m], length[m])
+        side[m] = stiffness[m] * (1.0 - ratio) if ratio < 1.0 else 0.0
+        along[m] = np.divide(stiffness[m] - side[m], length[m] * length[m])
+
+
+@njit
+def _weigh(root_a: Array, root_b: Array, values: Array) -> None:
+    for m in range(len(values)):
+        values[m] *= root_a[m] + root_b[m]
+
+
+@njit
+def _add_square(along: Array, side: Array, start: Array, end: Array, total: Array) -> None:
+    for m in range(len(total)):
+        total[m] += along[m] * (end[m] - start[m]) * (end[m] - start[m]) + side[m]
+
+
+@njit
+def _add_product(along: Array, xa: Array, xb: Array, ya: Array, yb: Array, total: Array) -> None:
+    for m in range(len(total)):
+        total[m] += along[m] * (xb[m] - xa[m]) * (yb[m] - ya[m])
+
+
+@njit
+def highest_frequency(
+    segments: Index, stiffness: Array, rest_length: Array, inverse_mass: Array, positions: Array, work: Array
+) -> float:
+    """An upper bound of the squared angular frequencies [1/s^2] of the lattice at positions (N, 3).
+
+    A spring of tangent H between nodes a and b puts H / m_a on the diagonal of M^-1/2 K M^-1/2 and -H / sqrt(m_a m_b) beside
+    it, so that no eigenvalue exceeds the largest one of any node's 3 x 3 matrix sum_s H (1 / m_a + 1 / sqrt(m_a m_b))
+    (Gershgorin by blocks); in a regular lattice's inside the bound is reached. A held node counts as infinitely heavy.
+    H = k (n n + max(0, 1 - L_p / L) (1 - n n)): the parts of a compressed spring that push sideways only lower the frequency.
+    work (13, N + 2).
+
+    An eigenvalue of a symmetric 3 x 3 matrix is at most m + sqrt(2) s, m their mean and s their standard deviation.
+    """
+    size = len(inverse_mass)
+    x, root = work[0:3], work[12]
+    work[:, :] = 0.0
+    for n in range(size):
+        root[n + 1] = math.sqrt(inverse_mass[n])
+        for axis in range(3):
+            x[axis, n + 1] = positions[n, axis]
+    for row in range(len(segments)):
+        d, start, stop, shift = segments[row]
+        a, b = start + 1, stop + 1
+        c, e = a + shift, b + shift
+        length, side, along = work[9, : stop - start], work[10, : stop - start], work[11, : stop - start]
+        _lengths(x[0, a:b], x[0, c:e], x[1, a:b], x[1, c:e], x[2, a:b], x[2, c:e], length)
+        _tangent(stiffness[d, start:stop], rest_length[d, start:stop], length, side, along)
+        _weigh(root[a:b], root[c:e], side)
+        _weigh(root[a:b], root[c:e], along)
+        for i in range(3):
+            j = (i + 1) % 3
+            for low, high in ((a, b), (c, e)):
+                _add_square(along, side, x[i, a:b], x[i, c:e], work[3 + i, low:high])
+                _add_product(along, x[i, a:b], x[i, c:e], x[j, a:b], x[j, c:e], work[6 + i, low:high])
+    worst = 0.0
+    for n in range(size):
+        if inverse_mass[n] > 0.0:
+            xx, yy, zz = work[3, n + 1], work[4, n + 1], work[5, n + 1]
+            xy, yz, zx = work[6, n + 1], work[7, n + 1], work[8, n + 1]
+            mean = (xx + yy + zz) / 3.0
+            square = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + yz * yz + zx * zx)) / 3.0
+            bound = mean + math.sqrt(2.0 * max(0.0, square - mean * mean))
+            worst = max(worst, bound * root[n + 1])
+    return worst
+
+
+@njit
+def fastest_stretch(segments: Index, stiffness: Array, initial_length: Array, velocity: Array) -> float:
+    """The largest |relative velocity of a spring's ends| / initial length [1/s]; velocity (N, 3). Infinite for a NaN."""
+    worst = 0.0
+    for row in range(len(segments)):
+        d, start, stop, shift = segments[row]
+        for n in range(start, stop):
+            if stiffness[d, n] > 0.0 and initial_length[d, n] > 0.0:
+                rate = _distance(velocity, n, n + shift) / initial_length[d, n]
+                if not rate <= worst:
+                    worst = rate if rate > worst else math.inf
+    return worst
