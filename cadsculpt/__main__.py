@@ -1,4 +1,4 @@
-"""`python -m cadsculpt`: the command line. It is found by name, because the engine knows nothing of the rooms above it."""
+"""`python -m cadsculpt`: the command line, found by name because the engine knows nothing of the rooms above it."""
 
 from __future__ import annotations
 

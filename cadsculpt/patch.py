@@ -112,7 +112,7 @@ def build_patch(
             where=where,
             mend="choose another face, or repair this one",
         )
-    material = material_of(scene, spec.material)
+    material = scene.material_of(spec.material)
     on_face = inside(
         surface, _cell_middles(nodes.u, surface, 0, wrap=nodes.wrap_u), _cell_middles(nodes.v, surface, 1, wrap=nodes.wrap_v)
     )
@@ -169,23 +169,9 @@ def _zones(
     index = np.zeros((len(u), len(v)), dtype=np.int64)
     for zone in spec.zones:
         if zone.face is None or zone.face in (face.name, face.number):
-            materials = [*materials, material_of(scene, zone.material)]
+            materials = [*materials, scene.material_of(zone.material)]
             index[_in_range(u, zone.u)[:, None] & _in_range(v, zone.v)[None, :]] = len(materials) - 1
     return materials, index
-
-
-def material_of(scene: Scene, name: str) -> Material:
-    """The material that a scene names: one of its tables, or a preset."""
-    spec = scene.material_of(name)
-    return Material(
-        youngs_modulus=spec.youngs_modulus,
-        density=spec.density,
-        damping=spec.damping,
-        yield_strain=float("inf") if isinstance(spec.yield_strain, str) else spec.yield_strain,
-        hardening=spec.hardening,
-        friction=spec.friction,
-        name=name,
-    )
 
 
 def mean_lengths(surface: BSplineSurface) -> tuple[float, float]:

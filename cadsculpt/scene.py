@@ -23,6 +23,7 @@ from .scene_values import (
     Faces,
     Flag,
     Interval,
+    Name,
     Names,
     NotNegative,
     Number,
@@ -64,7 +65,7 @@ class Zone(FaceBox):
 class ModelSpec(Spec):
     """A part whose faces are sculpted."""
 
-    name: Text = Field(description="the model's name, unlike any other in the scene")
+    name: Name = Field(description="the model's name, unlike any other in the scene")
     file: Text = Field(description="its CAD file, seen from the scene's folder")
     faces: Faces = Field(
         default="all", description='"all", or a list of names and numbers; other faces stay as they are'
@@ -228,7 +229,7 @@ class Scene(Spec):
     """Everything that a run needs but the files it names."""
 
     schema_version: Schema = Field(default=1, alias="schema", description="version of this language")
-    name: Text = Field(default="scene", description="a title for reports")
+    name: Name = Field(default="scene", description="a title for reports")
     units: Unit = Field(description='of all lengths here: "mm", "m", "in", ...; everything else is SI')
     model: tuple[ModelSpec, ...] = Field(min_length=1, description="a scene has at least one [[model]]")
     material: dict[str, MaterialSpec] = Field(default_factory=dict, description="materials by name")

@@ -13,6 +13,7 @@ from .scene_values import (
     Count,
     Exponents,
     Faces,
+    Name,
     NotNegative,
     Positive,
     Shape,
@@ -78,7 +79,7 @@ class ToolSpec(Spec):
 
     model_config = ConfigDict(json_schema_extra=_shape_conditions)
 
-    name: Text = Field(description="the tool's name, unlike any other in the scene")
+    name: Name = Field(description="the tool's name, unlike any other in the scene")
     use: Text | None = Field(
         default=None, description="a shipped tool or a .tool.toml file; what is written here overrides it"
     )

@@ -15,7 +15,7 @@ from .spec import LIST, NUMBER, TABLE, WORD, Fault, Spec, by_type, listed, predi
 from .units import unit_name
 
 
-def _text(value: str) -> str:
+def _name(value: str) -> str:
     if not value.isprintable() or value != value.strip():
         raise predicate("must be one line of text without blanks around it")
     return value
@@ -65,7 +65,8 @@ NotNegative = Annotated[Number, Field(ge=0)]
 Flag = Annotated[bool, Field(strict=True)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 Several = Annotated[int, Field(strict=True, ge=2)]
-Text = Annotated[str, Field(strict=True, min_length=1), AfterValidator(_text)]
+Text = Annotated[str, Field(strict=True, min_length=1)]
+Name = Annotated[Text, AfterValidator(_name)]
 Unit = Annotated[str, BeforeValidator(_units)]
 
 Vector = Annotated[tuple[Number, Number, Number], BeforeValidator(listed(3))]
@@ -76,7 +77,7 @@ Schema = Annotated[Literal[1], BeforeValidator(_schema_1)]
 Exponents = Annotated[tuple[Positive, Positive], BeforeValidator(listed(2))]
 Corners = Annotated[tuple[Vector, Vector], BeforeValidator(listed(2, "corners"))]
 Counts = Annotated[tuple[Several, Several], BeforeValidator(listed(2, "whole numbers"))]
-Names = Annotated[tuple[Text, Text], BeforeValidator(listed(2, "names"))]
+Names = Annotated[tuple[Name, Name], BeforeValidator(listed(2, "names"))]
 
 FaceId = Annotated[Annotated[Text, Tag(WORD)] | Annotated[Count, Tag(NUMBER)], by_type("a face's name or number")]
 Faces = Annotated[

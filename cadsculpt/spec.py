@@ -118,7 +118,12 @@ _PREDICATES = {
 
 
 def _detail(place: Place, sentence: str, value: Any) -> InitErrorDetails:
-    return InitErrorDetails(type=PydanticCustomError("fault", sentence), loc=place, input=value)
+    return InitErrorDetails(type=PydanticCustomError("fault", one_line(sentence)), loc=place, input=value)
+
+
+def one_line(text: str) -> str:
+    """The text with line ends and other signs that cannot be seen written as escapes."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def predicate(text: str) -> PydanticCustomError:

@@ -122,7 +122,8 @@ class ToolPath:
         if f == 0.0:
             return Pose(self.at[i], self.rotation[i])
         at = self.at[i] + f * (self.at[i + 1] - self.at[i])
-        return Pose(at, rotation_of(f * self.spin[i]) @ self.rotation[i])
+        turning = self.spin[i].any()
+        return Pose(at, rotation_of(f * self.spin[i]) @ self.rotation[i] if turning else self.rotation[i])
 
     def velocity(self, t: float) -> tuple[Array, Array]:
         """The velocity with which the tool leaves t: of its origin (3,), length unit per s, and angular (3,), rad/s.

@@ -1,0 +1,121 @@
+"""From a scene file to a `Model`: reads the parts, the tools' surfaces and the paths that the scene names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import CadsculptError, InputError
+from ..model import Model, SourceBody, build_model
+from ..motion.path import ToolPath
+from ..patch import SourceEdge, SourceFace
+from ..scene import ModelSpec, ToolSpec
+from ..session import Session
+from ..spline.refine import insert_knots, missing_knots
+from ..spline.surface import BSplineSurface
+from ..units import conversion
+from . import registry
+from .part import Face, Part
+from .scene_toml import SceneFile
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """A scene with its files read.
+
+    parts : the CAD files, by resolved path; faces : for each of the model's patches its part's path and face number.
+    warnings : what the readers had to say.
+    """
+
+    scene: SceneFile
+    model: Model
+    parts: dict[Path, Part]
+    faces: tuple[tuple[Path, int], ...]
+    warnings: tuple[str, ...]
+
+    def sculpted(self, session: Session) -> dict[Path, dict[int, BSplineSurface]]:
+        """Per part the sculpted surfaces (mm) of its faces: the face as read, with knots added and control points moved.
+
+        Control points that the session did not move keep the bits of the file.
+        """
+        to_mm = conversion(self.scene.units, "mm")
+        result: dict[Path, dict[int, BSplineSurface]] = {path: {} for path in self.parts}
+        for index, (path, number) in enumerate(self.faces):
+            patch = session.model.patches[index]
+            read = self.parts[path].faces.number(number).surface
+            fine = insert_knots(read, *missing_knots(read, patch.surface))
+            moved = session.state.control_points[index] - patch.surface.control_points
+            net = np.where(moved == 0.0, fine.control_points, fine.control_points + moved * to_mm)
+            result[path][number] = fine.with_control_points(net)
+        return result
+
+
+def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Loaded:
+    """Read everything a scene names and build its model.
+
+    on_file : told the name of each file before it is read. Raises InputError or GeometryError naming what cannot be used.
+    """
+    parts: dict[Path, Part] = {}
+    warnings: list[str] = []
+
+    def part_of(name: str) -> tuple[Path, Part]:
+        path = (scene.folder / name).resolve()
+        if path not in parts:
+            if on_file:
+                on_file(path.name)
+            parts[path] = registry.read(path)
+            warnings.extend(f"{path.name}: {line}" for line in parts[path].warnings)
+        return path, parts[path]
+
+    bodies, faces = [], []
+    for spec in scene.model:
+        path, part = part_of(spec.file)
+        chosen = part.faces.select(spec.faces)
+        taken = [face.name for face in chosen if (path, face.number) in faces]
+        if taken:
+            raise InputError(
+                f"face {taken[0]!r} of {path.name} belongs to two models",
+                where=f"model {spec.name!r}",
+                mend="name each face once",
+            )
+        bodies.append(SourceBody(spec.name, tuple(_source_face(spec, part, face, scene.units) for face in chosen)))
+        faces += [(path, face.number) for face in chosen]
+    surfaces = {spec.name: _tool_surfaces(spec, scene, part_of) for spec in scene.tool if spec.shape == "surface"}
+    paths = {spec.name: _path(scene, spec.name) for spec in scene.tool}
+    model = build_model(scene, bodies, paths, surfaces)
+    models = {path for path, _ in faces}
+    return Loaded(scene, model, {path: part for path, part in parts.items() if path in models}, tuple(faces), tuple(warnings))
+
+
+def _source_face(spec: ModelSpec, part: Part, face: Face, units: str) -> SourceFace:
+    try:
+        surface = face.surface.scaled(conversion("mm", units))
+    except CadsculptError as error:
+        raise InputError(error.what, where=f"{part.path.name}, face {face.name!r}", mend=error.mend) from None
+    if face.warning:
+        part.warnings.append(f"face {face.name!r}: {face.warning}")
+    edges = tuple(
+        SourceEdge(edge.uv, tuple(part.faces.number(n).name for n in edge.neighbours), edge.seam, edge.degenerate)
+        for edge in face.edges
+    )
+    return SourceFace(face.number, face.name, surface, edges)
+
+
+def _tool_surfaces(
+    spec: ToolSpec, scene: SceneFile, part_of: Callable[[str], tuple[Path, Part]]
+) -> list[BSplineSurface]:
+    if spec.file is None:
+        raise InputError("a surface tool needs a file", where=f"tool {spec.name!r}", mend='write file = "..."')
+    _, part = part_of(spec.file)
+    factor = conversion("mm", scene.units)
+    return [face.surface.scaled(factor) for face in part.faces.select(spec.faces or "all")]
+
+
+def _path(scene: SceneFile, name: str) -> ToolPath:
+    path = scene.tool_path(name)
+    if path is None:
+        raise InputError("it has no path", where=f"tool {name!r}", mend="write [[tool.path]] rows or path = FILE")
+    return path
