@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .history import History, Summary
-from .model import Model
 from .scene import ExpectSpec
+
+if TYPE_CHECKING:
+    from .model import Model
 
 CONDITIONS = ("between", "at_most", "at_least", "equals", "tolerance", "never")
 

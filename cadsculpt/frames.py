@@ -34,9 +34,10 @@ class _PatchView:
 
 @dataclass(slots=True, eq=False)
 class FrameMaker:
-    """Makes frames of a session; precomputes what does not change."""
+    """Makes frames of a session; precomputes what does not change. `names` : of the patches, unlike each other."""
 
     session: Session
+    names: tuple[str, ...]
     _views: list[_PatchView]
     _outlines: list[tuple[Array, Index]]
 
@@ -59,7 +60,14 @@ class FrameMaker:
                     _interpolation(patch.v, matrices.v[columns], wrap=patch.lattice.wrap[1], domain=patch.surface.domain[1]),
                 )
             )
-        return cls(session, views, [outline(tool.tool, scene_size=model.size) for tool in model.tools])
+        several = len(model.bodies) > 1
+        names = tuple(f"{model.bodies[p.body]}: {p.name}" if several else p.name for p in model.patches)
+        return cls(session, names, views, [outline(tool.tool, scene_size=model.size) for tool in model.tools])
+
+    def parameters(self) -> list[tuple[Array, Array]]:
+        """Per patch the parameters u and v of the frames' rows and columns."""
+        matrices = [patch.grid.matrices for patch in self.session.model.patches]
+        return [(m.u[view.rows], m.v[view.columns]) for m, view in zip(matrices, self._views, strict=True)]
 
     def frame(self) -> Frame:
         """The session as it is now."""
@@ -79,12 +87,12 @@ class FrameMaker:
                 push = -np.einsum("nc,nc->n", session.forces[mine], c.normal[mine]) / c.area[mine] * pascal
                 np.maximum.at(pressure, (i, j), push)
                 contact[i, j] = True
-            stress = nodal_stress(patch.lattice, state.lattices[index], model.metres_per_unit)
+            stress = nodal_stress(patch.lattice, state.lattices[index])
             nu, nv, nl = patch.lattice.shape
             surface_stress = stress.reshape(nu, nv, nl)[:, :, 0]
             patches.append(
                 PatchFrame(
-                    patch.name,
+                    self.names[index],
                     points,
                     points - view.rest,
                     pressure,
@@ -104,7 +112,7 @@ class FrameMaker:
         model, state = self.session.model, self.session.state
         return [
             LatticeFrame(
-                name=patch.name,
+                name=self.names[i],
                 nodes=state.lattices[i].x.copy(),
                 hexahedra=hexahedra(patch.lattice),
                 strain=nodal_strain(patch.lattice, state.lattices[i]),

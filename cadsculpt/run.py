@@ -89,20 +89,19 @@ class _Clearance:
 
 
 def run(
-    source: Model | Buildable,
+    source: Session | Model | Buildable,
     *,
     hooks: Hooks | None = None,
     on_frame: Callable[[Frame], None] | None = None,
-    clock: Callable[[], float] | None = None,
     resume: dict[str, Array] | None = None,
 ) -> RunResult:
     """Run a scene to the end of its tool paths.
 
-    clock : a timer in seconds, for `Session.timing`; without one nothing is timed. resume : arrays of a checkpoint.
+    source : a scene, its model, or a session at its start (with a clock, say). resume : arrays of a checkpoint.
     Raises InputError when a tool starts inside a part. An unstable simulation ends the run with `converged` False.
     """
     hooks = hooks or Hooks(on_frame=on_frame)
-    session = Session(source, clock=clock)
+    session = source if isinstance(source, Session) else Session(source)
     model = session.model
     history = History.empty(len(model.bodies), len(model.tools))
     if resume is not None:

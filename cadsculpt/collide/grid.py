@@ -77,6 +77,9 @@ class Patch(NamedTuple):
     mark: Index
     slot: Index
     visit: Index
+    depth: Array
+    cell_area: Array
+    area_stamp: Index
     tick: int
     slack: float
     paper: bool
@@ -257,7 +260,8 @@ class Workspace:
             half=np.empty((m, s, 4)), half_stamp=zeros(m), points=np.empty((m * n, 3)), point_stamp=zeros(m * n),
             spheres=np.empty((cells, 5)), sphere_stamp=zeros(cells), box=np.empty((spans[0] * spans[1], 6)),
             bounds=np.empty((*spans, 5)), bounds_stamp=zeros(*spans),
-            mark=zeros(cells), slot=zeros(cells), visit=zeros(m * n),
+            mark=zeros(cells), slot=zeros(cells), visit=zeros(m * n), depth=np.empty(m * n),
+            cell_area=np.empty(m * n), area_stamp=zeros(m * n),
             tick=0, slack=0.0, paper=False, delta=0.0, counters=self.counters,
         )  # fmt: skip
 

@@ -67,24 +67,45 @@ ISOTROPIC: Array = np.array([1.2] * 3 + [0.4] * 3 + [0.0] * 9)
 DEGENERATE = 1e-9
 """A spring shorter than this share of its cell's longest one joins two nodes of one point (the pole of a sphere)."""
 
+def spring_flow(yield_strain: float, hardening: float) -> tuple[float, float]:
+    """Yield strain y and hardening g of every spring, so that a bar yields at `yield_strain` and hardens by `hardening`.
+
+    Springs of different directions start to flow one after the other, so the bar's curve has a round knee; what is matched is
+    the straight line after it, sigma / E = yield_strain + hardening (e - yield_strain). There, on cubes, all springs along and
+    oblique to the load flow, with the tangent g and the offset (1 - g) y, while those across it are still elastic:
+
+        hardening                      = 1.2 g - 0.32 g^2 / (1.2 + 0.4 g)
+        (1 - hardening) yield_strain   = (1 - g) y (2 - 0.64 g / (1.2 + 0.4 g)).
+
+    Without hardening y is half the yield strain. A material that hardens by its full modulus never yields.
+    """
+    if math.isinf(yield_strain) or hardening >= 1.0:
+        return math.inf, 0.0
+    b = 1.44 - 0.4 * hardening
+    g = 2.4 * hardening / (b + math.sqrt(b * b + 0.768 * hardening))
+    return (1.0 - hardening) * yield_strain / ((1.0 - g) * (2.0 - 0.64 * g / (1.2 + 0.4 * g))), g
+
+
 _CORNERS: NDArray[np.int64] = np.array([(a, b, c) for a in (0, 1) for b in (0, 1) for c in (0, 1)], dtype=np.int64)
 
 
 @njit
 def hexahedron_volume(p: Array) -> float:
     """Volume of the trilinear hexahedron with corners p (8, 3), corner (a, b, c) at 4 a + 2 b + c; its sign is that of
-    (a, b, c). Exact: three determinants about a long diagonal (Grandy 1997, Efficient computation of volume of hexahedral
-    cells).
+    (a, b, c). Exact, with three determinants (Grandy 1997, Efficient computation of volume of hexahedral cells).
     """
     volume = 0.0
-    for turn in range(3):
-        one = 4 >> turn
-        two = 4 >> ((turn + 1) % 3)
-        ax, ay, az = p[7, 0] - p[0, 0], p[7, 1] - p[0, 1], p[7, 2] - p[0, 2]
-        bx, by, bz = p[one, 0] - p[0, 0], p[one, 1] - p[0, 1], p[one, 2] - p[0, 2]
-        cx, cy, cz = p[one + two, 0] - p[7 - two, 0], p[one + two, 1] - p[7 - two, 1], p[one + two, 2] - p[7 - two, 2]
-        volume += ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    return volume / 6.0
+    for x in range(3):
+        y, z = (x + 1) % 3, (x + 2) % 3
+        # differences across the cell: opposite corners of the faces that meet in corner 7 and in corner 0
+        a1, b1, c1 = p[7, x] - p[4, x], p[7, y] - p[2, y], p[7, z] - p[1, z]
+        b2, c2 = p[7, z] - p[2, z], p[7, y] - p[1, y]
+        a3, b3, c3 = p[3, x] - p[0, x], p[5, y] - p[0, y], p[6, z] - p[0, z]
+        b4, c4 = p[5, z] - p[0, z], p[6, y] - p[0, y]
+        volume += (a1 + a3) * (b1 * c3 - b2 * c4)
+        volume += a3 * ((b1 + b3) * c1 - (b2 + b4) * c2)
+        volume += a1 * (b3 * (c1 + c3) - b4 * (c2 + c4))
+    return volume / 12.0
 
 
 @njit

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
 from ..jit import njit
-from .forces import local_nodes, mean_contact, press, rub
+from .forces import local_nodes, press, rub
 from .lattice import Lattice
 from .springs import fastest_stretch, highest_frequency, spring_forces
 
@@ -241,13 +241,8 @@ def _advance(
             x[a, n + 1] = x0[n, a]
             v[a, n + 1] = velocity0[n, a]
     distinct, local = local_nodes(nodes, size)
-    touched = len(distinct)
-    inertia, push, slip = np.zeros((touched, 6)), np.empty((touched, 3)), np.empty((touched, 3))
-    node_normal, node_tool, capacity = np.empty((touched, 3)), np.empty((touched, 3)), np.empty(touched)
-    mean_contact(local, weights, area, normal, node_normal)
-    mean_contact(local, weights, area, tool, node_tool)
-    impulse, rubbing = np.zeros((contacts, 4)), np.zeros((contacts, 3))
-    vstar = np.zeros((touched, 3))
+    nodal, marks = np.empty((len(distinct), 12)), np.empty((contacts, 4), dtype=np.bool_)
+    impulse, rubbing = np.empty((contacts, 4)), np.empty((contacts, 3))
 
     for _ in range(count):
         for a in range(3):
@@ -257,39 +252,34 @@ def _advance(
                 f[a, n + 1] = external[n, a]
         spring_forces(segments, stiffness, initial_length, yield_strain, hardening, plastic, x, rest_length, f, work)
         for a in range(3):
-            _accelerate(f[a, 1 : size + 1], gamma, inverse_mass, h, v[a, 1 : size + 1], f[a, 1 : size + 1])
+            _accelerate(f[a, 1 : size + 1], gamma, inverse_mass, h, v[a, 1 : size + 1])
         if contacts:
             # f now holds the velocities before the sub-step
             press(
-                distinct, local, weights, normal, area, contact_stiffness, contact_damping, tool, depth, inverse_mass, h,
-                f, v, inertia, push, vstar, impulse,
+                distinct, local, weights, normal, area, contact_stiffness, contact_damping, tool, depth, inverse_mass, h, f, v,
+                nodal, marks, impulse,
             )  # fmt: skip
-            rub(
-                distinct, local, weights, friction, impulse, inverse_mass, node_normal, node_tool, v, capacity, slip,
-                rubbing,
-            )  # fmt: skip
+            rub(distinct, local, normal, tool, friction, inverse_mass, impulse, v, nodal, rubbing)
         for a in range(3):
             _move(v[a], h, x[a])
         for c in range(contacts):
+            total = impulse[c, 0] + impulse[c, 1] + impulse[c, 2] + impulse[c, 3]
             for a in range(3):
                 relative = -tool[c, a]
                 for k in range(4):
                     relative += weights[c, k] * v[a, nodes[c, k] + 1]
                 depth[c] += h * relative * normal[c, a]
-                mean_force[c, a] += rubbing[c, a] - impulse[c].sum() * normal[c, a]
-    for c in range(contacts):
-        for a in range(3):
-            mean_force[c, a] /= h * count
-            end_force[c, a] = (rubbing[c, a] - impulse[c].sum() * normal[c, a]) / h
+                end_force[c, a] = (rubbing[c, a] - total * normal[c, a]) / h
+                mean_force[c, a] += end_force[c, a] / count
 
 
 @njit
-def _accelerate(force: Array, gamma: Array, inverse_mass: Array, h: float, velocity: Array, before: Array) -> None:
-    """Eq. 5 and 6. Nodes of inverse mass 0 keep their velocity. `before` keeps the old velocity; it may be `force` itself."""
+def _accelerate(force: Array, gamma: Array, inverse_mass: Array, h: float, velocity: Array) -> None:
+    """Eq. 5 and 6; `force` is left with the velocity before. Nodes of inverse mass 0 keep theirs."""
     for n in range(len(velocity)):
         old = velocity[n]
         velocity[n] = old + h * inverse_mass[n] * (force[n] - gamma[n] * old)
-        before[n] = old
+        force[n] = old
 
 
 @njit

@@ -8,15 +8,16 @@ A contact that stands for the area A of the surface, d deep in a tool that moves
 k_n [N/L^3] and c_n [N s/L^3] are per area, so that the force does not depend on how finely the surface is sampled. The force
 goes to the four nodes around (u, v) with bilinear weights.
 
-Within a sub-step of h seconds the force is that at the sub-step's end, so that neither a stiff contact nor a small slip
-shortens it. The pressure is linear in the velocity, p(v1) = p(v) + A (h k_n + c_n) n . (v1_c - v_c), and its slope acts on the
-nodes as inertia, lumped:
+Within a sub-step of h seconds the pressure is that at the sub-step's end, so that neither a stiff contact nor a small slip
+shortens it. Each node feels the contact with its own velocity v_i,
 
-    (m_i + L_i) (v1 - v) = h (f - gamma v - g) - h sum_c w_ci p_c(v) n_c,    L_i = sum_c w_ci h A_c (h k_n + c_n) n_c n_c.
+    p_ci = max(0, k_n (d_c + h n.(v_i - v_tool)) + c_n n.(v_i - v_tool)),    F_i = - sum_c w_ci A_c p_ci n_c,
 
-At rest this is the exact balance of eq. 4; in motion it is stable whatever k_n and c_n are (the lumped L is not below the
-consistent matrix, row by row), and summed over its four nodes a contact's impulse is exactly h p_c(v1). Friction then stops
-the slip of every node in contact as far as the mu p of its contacts goes: Coulomb's law, with no slip to regularise it.
+so that the nodes decouple: 3 x 3 equations (m_i + L_i) v_i = ..., L_i = sum h w A (h k_n + c_n) n n, after which the depth d_c
+follows the interpolated velocity. Once the nodes are at rest that is the contact law above, to the letter; in motion it is
+stable for any k_n and c_n, because L, with the weights lumped, is at least what the weights would give. A contact's force is
+the sum of what it gave to its four nodes, so that forces on both sides balance. Friction then stops the slip of each node in
+contact as far as mu times its pressure goes: Coulomb's law itself, with no slip speed to regularise it.
 """
 
 from __future__ import annotations
@@ -39,7 +40,6 @@ STIFFNESS_RATIO = 20.0
 """k_n over E / spacing: a dent one node spacing wide is 20 times stiffer to the contact than to the material, so that the
 residual penetration is about 5 % of the narrowest dents' depth and far less of wide ones'."""
 
-PASSES = 2
 DAMPING_RATIO = 0.5
 """c_n as a fraction of critical for the contact's own spring under half a cell's mass: a tool that lands does not bounce."""
 
@@ -108,12 +108,6 @@ def _nearest_active(lattice: Lattice, u: float, v: float) -> int:
 
 
 @njit
-def contact_pressure(depth: float, rate: float, stiffness: float, damping: float) -> float:
-    """The contact law: pressure [N/L^2] at `depth` [L], positive inside, that grows at `rate` [L/s]. Never pulls."""
-    return max(0.0, stiffness * depth + damping * rate)
-
-
-@njit
 def local_nodes(nodes: Index, size: int) -> tuple[Index, Index]:
     """The distinct nodes that contacts (n, 4) touch, in order of appearance, and where each contact finds its four there."""
     place = np.full(size, -1, dtype=np.int64)
@@ -132,23 +126,6 @@ def local_nodes(nodes: Index, size: int) -> tuple[Index, Index]:
 
 
 @njit
-def mean_contact(local: Index, weights: Array, area: Array, vectors: Array, mean: Array) -> None:
-    """mean (m, 3) : per node the mean of the contacts' vectors (n, 3), weighted by the area that they bring to it."""
-    mean[:, :] = 0.0
-    total = np.zeros(len(mean))
-    for c in range(len(local)):
-        for k in range(4):
-            share = weights[c, k] * area[c]
-            total[local[c, k]] += share
-            for a in range(3):
-                mean[local[c, k], a] += share * vectors[c, a]
-    for n in range(len(mean)):
-        if total[n] > 0.0:
-            for a in range(3):
-                mean[n, a] /= total[n]
-
-
-@njit
 def press(
     distinct: Index,
     local: Index,
@@ -163,120 +140,184 @@ def press(
     h: float,
     before: Array,
     velocity: Array,
-    inertia: Array,
-    push: Array,
-    vstar: Array,
+    nodal: Array,
+    marks: NDArray[np.bool_],
     impulse: Array,
 ) -> None:
-    """Normal contact forces of one sub-step, at its end: the nodes' velocities after them, and the impulses (n, 4) [N s].
+    """Normal contact forces at the end of a sub-step of h seconds: the nodes' velocities after them, the impulses (n, 4) [N s].
 
     distinct (m,), local (n, 4) : from `local_nodes`. depth (n,) : at the start of the sub-step. before, velocity (3, N + 2)
-    padded : at the start of the sub-step, and with all other forces applied; the latter is changed. inertia (m, 6) and
-    push (m, 3) : workspace.
+    padded : at the start of the sub-step, and with all other forces applied; the latter is changed. nodal (m, 12), marks (n, 4) : workspace.
     """
-    for sweep in range(PASSES):
-        push[:, :] = 0.0
-        inertia[:, :] = 0.0
-        for c in range(len(local)):
-            nx, ny, nz = normal[c, 0], normal[c, 1], normal[c, 2]
-            gain = h * stiffness[c] + damping[c]
-            base = stiffness[c] * depth[c] - gain * (tool[c, 0] * nx + tool[c, 1] * ny + tool[c, 2] * nz)
-            for k in range(4):
-                n = distinct[local[c, k]] + 1
-                rate = before[0, n] * nx + before[1, n] * ny + before[2, n] * nz if sweep == 0 else velocity[0, n] * nx + velocity[1, n] * ny + velocity[2, n] * nz
-                share = h * area[c] * weights[c, k]
-                if base + gain * rate > 0.0:
-                    impulse[c, k] = share
-                    block = inertia[local[c, k]]
-                    g = share * gain
-                    block[0] += g * nx * nx
-                    block[1] += g * ny * ny
-                    block[2] += g * nz * nz
-                    block[3] += g * nx * ny
-                    block[4] += g * ny * nz
-                    block[5] += g * nz * nx
-                    push[local[c, k], 0] -= share * base * nx
-                    push[local[c, k], 1] -= share * base * ny
-                    push[local[c, k], 2] -= share * base * nz
-                else:
-                    impulse[c, k] = 0.0
-        for m in range(len(distinct)):
-            n = distinct[m] + 1
-            w = inverse_mass[distinct[m]]
-            # (m + L) v1 = m velocity + push
-            if sweep == 0:
-                vstar[m,0] = velocity[0, n]
-                vstar[m,1] = velocity[1, n]
-                vstar[m,2] = velocity[2, n]
-            rx = vstar[m,0] + w * push[m, 0]
-            ry = vstar[m,1] + w * push[m, 1]
-            rz = vstar[m,2] + w * push[m, 2]
-            xx, yy, zz = 1.0 + w * inertia[m, 0], 1.0 + w * inertia[m, 1], 1.0 + w * inertia[m, 2]
-            xy, yz, zx = w * inertia[m, 3], w * inertia[m, 4], w * inertia[m, 5]
-            cx, cy, cz = yy * zz - yz * yz, yz * zx - xy * zz, xy * yz - yy * zx
-            determinant = xx * cx + xy * cy + zx * cz
-            velocity[0, n] = (cx * rx + cy * ry + cz * rz) / determinant
-            velocity[1, n] = (cy * rx + (xx * zz - zx * zx) * ry + (xy * zx - xx * yz) * rz) / determinant
-            velocity[2, n] = (cz * rx + (xy * zx - xx * yz) * ry + (xx * yy - xy * xy) * rz) / determinant
+    for m in range(len(distinct)):
+        for a in range(3):
+            nodal[m, 9 + a] = velocity[a, distinct[m] + 1]
+    # the parts that press are first judged by the velocity before, and once more by the one that comes out
+    _mark(distinct, local, weights, normal, area, stiffness, damping, tool, depth, h, before, nodal, marks)
+    for corrections in (True, False):
+        _solve_nodes(distinct, inverse_mass, nodal, velocity)
+        if _settle(
+            distinct, local, weights, normal, area, stiffness, damping, tool, depth, h, velocity, corrections, nodal, marks,
+            impulse,
+        ):  # fmt: skip
+            break
+
+
+@njit
+def _mark(
+    distinct: Index,
+    local: Index,
+    weights: Array,
+    normal: Array,
+    area: Array,
+    stiffness: Array,
+    damping: Array,
+    tool: Array,
+    depth: Array,
+    h: float,
+    velocity: Array,
+    nodal: Array,
+    marks: NDArray[np.bool_],
+) -> None:
+    """Mark the parts that press at `velocity`, and sum up L and b of theirs."""
+    nodal[:, :9] = 0.0
     for c in range(len(local)):
         nx, ny, nz = normal[c, 0], normal[c, 1], normal[c, 2]
-        gain = h * stiffness[c] + damping[c]
-        base = stiffness[c] * depth[c] - gain * (tool[c, 0] * nx + tool[c, 1] * ny + tool[c, 2] * nz)
+        slope = h * stiffness[c] + damping[c]
+        # the pressure at the sub-step's end where the node stands still
+        still = stiffness[c] * depth[c] - slope * (tool[c, 0] * nx + tool[c, 1] * ny + tool[c, 2] * nz)
         for k in range(4):
-            if impulse[c, k] > 0.0:
-                n = distinct[local[c, k]] + 1
-                rate = velocity[0, n] * nx + velocity[1, n] * ny + velocity[2, n] * nz
-                impulse[c, k] *= base + gain * rate
+            n = distinct[local[c, k]] + 1
+            marks[c, k] = still + slope * (velocity[0, n] * nx + velocity[1, n] * ny + velocity[2, n] * nz) > 0.0
+            if marks[c, k]:
+                _add_part(nodal, local[c, k], h * area[c] * weights[c, k], slope, still, nx, ny, nz)
+
+
+@njit
+def _settle(
+    distinct: Index,
+    local: Index,
+    weights: Array,
+    normal: Array,
+    area: Array,
+    stiffness: Array,
+    damping: Array,
+    tool: Array,
+    depth: Array,
+    h: float,
+    velocity: Array,
+    corrections: bool,
+    nodal: Array,
+    marks: NDArray[np.bool_],
+    impulse: Array,
+) -> bool:
+    """Impulses (n, 4) of the marked parts at `velocity`. With `corrections`, parts marked wrongly are corrected in marks, L and
+    b; returns whether there were none.
+    """
+    settled = True
+    for c in range(len(local)):
+        nx, ny, nz = normal[c, 0], normal[c, 1], normal[c, 2]
+        slope = h * stiffness[c] + damping[c]
+        still = stiffness[c] * depth[c] - slope * (tool[c, 0] * nx + tool[c, 1] * ny + tool[c, 2] * nz)
+        for k in range(4):
+            n = distinct[local[c, k]] + 1
+            share = h * area[c] * weights[c, k]
+            pressure = still + slope * (velocity[0, n] * nx + velocity[1, n] * ny + velocity[2, n] * nz)
+            impulse[c, k] = share * pressure if marks[c, k] else 0.0
+            if corrections and (pressure > 0.0) != marks[c, k]:
+                settled = False
+                marks[c, k] = not marks[c, k]
+                _add_part(nodal, local[c, k], share if marks[c, k] else -share, slope, still, nx, ny, nz)
+    return settled
+
+
+@njit
+def _add_part(
+    nodal: Array, m: int, share: float, slope: float, still: float, nx: float, ny: float, nz: float
+) -> None:
+    """Add share * slope * n n to L and -share * still * n to b of one node."""
+    gx, gy, gz = share * slope * nx, share * slope * ny, share * slope * nz
+    nodal[m, 0] += gx * nx
+    nodal[m, 1] += gy * ny
+    nodal[m, 2] += gz * nz
+    nodal[m, 3] += gx * ny
+    nodal[m, 4] += gy * nz
+    nodal[m, 5] += gz * nx
+    nodal[m, 6] -= share * still * nx
+    nodal[m, 7] -= share * still * ny
+    nodal[m, 8] -= share * still * nz
+
+
+@njit
+def _solve_nodes(distinct: Index, inverse_mass: Array, nodal: Array, velocity: Array) -> None:
+    """(m + L) v = m v_free + b at every node by Cramer's rule; the matrix over m has no eigenvalue below 1."""
+    for m in range(len(distinct)):
+        n = distinct[m] + 1
+        w = inverse_mass[distinct[m]]
+        rx, ry, rz = nodal[m, 9] + w * nodal[m, 6], nodal[m, 10] + w * nodal[m, 7], nodal[m, 11] + w * nodal[m, 8]
+        xx, yy, zz = 1.0 + w * nodal[m, 0], 1.0 + w * nodal[m, 1], 1.0 + w * nodal[m, 2]
+        xy, yz, zx = w * nodal[m, 3], w * nodal[m, 4], w * nodal[m, 5]
+        ax, ay, az = yy * zz - yz * yz, yz * zx - xy * zz, xy * yz - yy * zx
+        bz = xy * zx - xx * yz
+        determinant = xx * ax + xy * ay + zx * az
+        velocity[0, n] = (ax * rx + ay * ry + az * rz) / determinant
+        velocity[1, n] = (ay * rx + (xx * zz - zx * zx) * ry + bz * rz) / determinant
+        velocity[2, n] = (az * rx + bz * ry + (xx * yy - xy * xy) * rz) / determinant
 
 
 @njit
 def rub(
     distinct: Index,
     local: Index,
-    weights: Array,
+    normal: Array,
+    tool: Array,
     friction: Array,
-    impulse: Array,
     inverse_mass: Array,
-    node_normal: Array,
-    node_tool: Array,
+    impulse: Array,
     velocity: Array,
-    capacity: Array,
-    slip: Array,
+    nodal: Array,
     rubbing: Array,
 ) -> None:
-    """Coulomb friction of one sub-step: stops the slip of every node in contact as far as mu times the normal impulses goes.
+    """Coulomb friction of one sub-step: stops the slip of every node in contact as far as mu times its normal impulses goes.
 
-    impulse (n,) : of `press`. node_normal, node_tool (m, 3) : mean normal and tool velocity at each node. velocity (3, N + 2)
-    padded is changed; rubbing (n, 3) receives the friction impulses of the contacts. capacity (m,), slip (m, 3) : workspace.
+    impulse (n, 4) : of `press`. velocity (3, N + 2) padded is changed; rubbing (n, 3) receives the contacts' friction impulses
+    [N s]. nodal (m, 12) : workspace.
     """
-    capacity[:] = 0.0
+    nodal[:, :7] = 0.0
     for c in range(len(local)):
         for k in range(4):
-            capacity[local[c, k]] += friction[c] * max(0.0, impulse[c, k])
+            limit = friction[c] * max(0.0, impulse[c, k])
+            if limit == 0.0:
+                continue
+            m = local[c, k]
+            nodal[m, 0] += limit
+            for a in range(3):
+                nodal[m, 1 + a] += limit * tool[c, a]
+                nodal[m, 4 + a] += limit * normal[c, a]
     for m in range(len(distinct)):
+        # where nothing presses there is no limit, and no friction
+        limit = nodal[m, 0]
+        if limit == 0.0:
+            continue
         n = distinct[m] + 1
         w = inverse_mass[distinct[m]]
         along = length = 0.0
         for a in range(3):
-            slip[m, a] = velocity[a, n] - node_tool[m, a]
-            along += slip[m, a] * node_normal[m, a]
-            length += node_normal[m, a] * node_normal[m, a]
+            nodal[m, 1 + a] = velocity[a, n] - nodal[m, 1 + a] / limit
+            along += nodal[m, 1 + a] * nodal[m, 4 + a]
+            length += nodal[m, 4 + a] * nodal[m, 4 + a]
         speed = 0.0
         for a in range(3):
-            slip[m, a] -= along / length * node_normal[m, a] if length > 0.0 else 0.0
-            speed += slip[m, a] * slip[m, a]
+            nodal[m, 1 + a] -= along / length * nodal[m, 4 + a] if length > 0.0 else 0.0
+            speed += nodal[m, 1 + a] * nodal[m, 1 + a]
         speed = math.sqrt(speed)
-        # impulse per unit of capacity and per unit of slip: 1 / speed, or what stops the node
-        factor = 0.0
-        if capacity[m] > 0.0 and speed > 0.0:
-            factor = 1.0 / speed
-            if w > 0.0:
-                factor = min(factor, 1.0 / (w * capacity[m]))
+        # friction over its limit, per unit of slip: 1 / speed while the node slips, what stops it while it sticks
+        factor = 0.0 if speed == 0.0 else (1.0 / speed if speed > w * limit else 1.0 / (w * limit))
         for a in range(3):
-            slip[m, a] *= -factor
-            velocity[a, n] += w * capacity[m] * slip[m, a]
+            nodal[m, 1 + a] *= -factor
+            velocity[a, n] += w * limit * nodal[m, 1 + a]
     for c in range(len(local)):
         for a in range(3):
             rubbing[c, a] = 0.0
             for k in range(4):
-                rubbing[c, a] += friction[c] * max(0.0, impulse[c, k]) * slip[local[c, k], a]
+                rubbing[c, a] += friction[c] * max(0.0, impulse[c, k]) * nodal[local[c, k], 1 + a]

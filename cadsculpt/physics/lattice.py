@@ -20,18 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from .calibrate import OFFSETS, calibrate_cells
+from .calibrate import OFFSETS, calibrate_cells, spring_flow
 from .fold import check_folds
 from .material import Material
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-
-SPRING_YIELD = 0.5
-"""A spring yields at this share of the material's yield strain. When all springs that cross a section flow, the stress is
-their yield strain times C_1111 + 2 C_1122 = 2 E, in every direction: half the strain gives the material's yield stress.
-(The flow starts earlier, with the springs that lie along the load, so the knee of the curve is round.)"""
 
 CHUNK = 1024
 """Nodes that a pass over the springs takes at a time: their positions and forces stay in the first-level cache."""
@@ -139,8 +134,7 @@ def build_lattice(
     stiffness, hardening = np.zeros((13, count)), np.zeros((13, count))
     yield_strain = np.full((13, count), math.inf)
     mass, gamma, volume = np.zeros(count), np.zeros(count), np.zeros(count)
-    # a material that hardens by its full modulus never yields
-    limits = [math.inf if m.hardening >= 1.0 else SPRING_YIELD * m.yield_strain for m in materials]
+    flow = [spring_flow(m.yield_strain, m.hardening) for m in materials]
     speed = [math.sqrt(1.2 * m.youngs_modulus / m.density) / metres_per_unit for m in materials]
     calibrate_cells(
         nodes,
@@ -150,8 +144,8 @@ def build_lattice(
         of_cell,
         np.array([m.youngs_modulus * metres_per_unit**2 for m in materials]),
         np.array([m.density * metres_per_unit**4 for m in materials]),
-        np.array(limits),
-        np.array([0.0 if math.isinf(y) else m.hardening for m, y in zip(materials, limits, strict=True)]),
+        np.array([y for y, _ in flow]),
+        np.array([g for _, g in flow]),
         np.array([math.pi * m.damping * c / thickness for m, c in zip(materials, speed, strict=True)]),
         stiffness,
         yield_strain,

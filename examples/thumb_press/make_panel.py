@@ -8,17 +8,19 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from OCP.BRepAdaptor import BRepAdaptor_Curve, BRepAdaptor_Surface
 from OCP.BRepAlgoAPI import BRepAlgoAPI_Common, BRepAlgoAPI_Cut
 from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace
 from OCP.BRepFilletAPI import BRepFilletAPI_MakeFillet
 from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox, BRepPrimAPI_MakeCylinder, BRepPrimAPI_MakeHalfSpace
+from OCP.GeomAbs import GeomAbs_BSplineSurface, GeomAbs_Cylinder, GeomAbs_Plane
 from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt
 from OCP.TopAbs import TopAbs_EDGE, TopAbs_FACE, TopAbs_SOLID
 from OCP.TopExp import TopExp_Explorer
-from OCP.TopoDS import TopoDS, TopoDS_Shape
+from OCP.TopoDS import TopoDS, TopoDS_Edge, TopoDS_Face, TopoDS_Shape
 
+from cadsculpt.formats.occt import document_of_shapes
 from cadsculpt.formats.occt_shape import geom_of_surface
-from cadsculpt.formats.step import write_named_shape
 from cadsculpt.spline.surface import BSplineSurface
 
 LENGTH, WIDTH, CORNER, HOLE = 100.0, 70.0, 10.0, 9.0
@@ -56,38 +58,34 @@ def panel() -> TopoDS_Shape:
     return TopExp_Explorer(solid, TopAbs_SOLID).Current()
 
 
-def _vertical(edge: TopoDS_Shape) -> bool:
-    from OCP.BRepAdaptor import BRepAdaptor_Curve
-
+def _vertical(edge: TopoDS_Edge) -> bool:
     curve = BRepAdaptor_Curve(edge)
     a, b = curve.Value(curve.FirstParameter()), curve.Value(curve.LastParameter())
     return abs(a.Z() - b.Z()) > 1.0
 
 
-def names(shape: TopoDS_Shape) -> list[str]:
-    """A name for every face, in the shape's own order."""
-    from OCP.BRepAdaptor import BRepAdaptor_Surface
-    from OCP.GeomAbs import GeomAbs_BSplineSurface, GeomAbs_Cylinder
-
+def named_faces(shape: TopoDS_Shape) -> list[tuple[str, TopoDS_Face]]:
+    """Every face with its name: top, bottom, hole, side1, side2, ..."""
     found, sides = [], 0
     faces = TopExp_Explorer(shape, TopAbs_FACE)
     while faces.More():
-        surface = BRepAdaptor_Surface(TopoDS.Face(faces.Current()))
+        face = TopoDS.Face(faces.Current())
+        surface = BRepAdaptor_Surface(face)
         if surface.GetType() == GeomAbs_BSplineSurface:
-            found.append("top")
+            name = "top"
         elif surface.GetType() == GeomAbs_Cylinder and abs(surface.Cylinder().Radius() - HOLE) < 1e-6:
-            found.append("hole")
-        elif surface.Value(surface.FirstUParameter(), surface.FirstVParameter()).Z() == surface.Value(
-            surface.LastUParameter(), surface.LastVParameter()
-        ).Z():
-            found.append("bottom")
+            name = "hole"
+        elif surface.GetType() == GeomAbs_Plane and abs(surface.Plane().Axis().Direction().Z()) > 0.5:
+            name = "bottom"
         else:
             sides += 1
-            found.append(f"side{sides}")
+            name = f"side{sides}"
+        found.append((name, face))
         faces.Next()
     return found
 
 
 if __name__ == "__main__":
     shape = panel()
-    write_named_shape(shape, names(shape), Path(__file__).with_name("panel.step"), name="panel", units="mm")
+    part = document_of_shapes([("panel", shape)], "mm", faces=named_faces(shape))
+    part.write(Path(__file__).with_name("panel.step"), "step")

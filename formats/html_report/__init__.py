@@ -1,0 +1,1 @@
+"""The HTML report of a run; `report.write_report` makes it."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from cadsculpt.formats.frame_mesh import FaceMesh
 from numpy.typing import NDArray
 
-from cadsculpt.formats.frame_mesh import FaceMesh
 from cadsculpt.record import Frame, PatchFrame, ToolFrame
 
 Array = NDArray[np.float64]
@@ -59,7 +59,13 @@ def make(rows: int = 61, columns: int = 41, count: int = 12) -> PressedPanel:
         move = np.zeros_like(rest)
         move[..., 2] = 0.92 * lowest + np.where(lowest < 0.0, 0.0, 0.4 * lip)
         patch = PatchFrame(
-            "top", rest + move, move, np.where(contact, -3.0e4 * push, 0.0), contact, 2.0e4 * np.abs(move[..., 2]), inside
+            "top",
+            rest + move,
+            move,
+            np.where(contact, -3.0e4 * push, 0.0),
+            contact,
+            2.0e4 * np.abs(move[..., 2]),
+            inside,
         )
         frames.append(Frame(10 * n, 0.05 * n, (patch,), (_ellipsoid(centre),)))
     return PressedPanel(frames, _walls(), {"top": [_hole_in_grid(rows, columns)]})

@@ -1,0 +1,477 @@
+"""Closest points on the true surface: candidates by the spheres, then Newton in (u, v).
+
+`closest_points` is for anyone; `project` is the kernel. Points come in groups of neighbours: the cells that can hold the
+closest point of any of a group are found once, by descending the levels of detail and dropping every cell whose sphere is
+farther than the group's nearest one allows. Each point then starts Newton from its neighbour's closest point, and again
+from the nearest of those cells when that is not where Newton came out: another sheet of the surface may be nearer. On a closed direction the parameters wrap; elsewhere they stop at the
+border.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..jit import njit
+from ..spline.basis import find_span
+from .grid import Patch, PatchGrid, Workspace, grown
+from .spheres import make_spheres
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+NOTHING, PROPER, BORDER = 0, 1, 2
+"""What `project` found: nothing nearer; a point where the surface is orthogonal to the connecting line (or a crease, a pole);
+a point on an open border that the connecting line does not meet orthogonally."""
+
+DISTANCE, POINT, NORMAL, U, V = 0, 1, 4, 7, 8
+"""Columns of a `project` result (n, 9); POINT and NORMAL are three columns each."""
+
+NEAR_ENOUGH = 0.1
+"""A cell this small against its distance is start enough for Newton: finer ones would not change the start's quality."""
+
+SHEET = 1.5
+"""A cell's middle is no farther than the closest point that it holds by more than its radius, at right angles: cells beyond
+(with this margin for their bulge) hold nothing nearer than what is found."""
+
+NEWTON_STEPS = 32
+"""Newton takes 3 to 6 steps from a neighbouring grid point; creases of the surface stop it and go to `compass`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closest:
+    """The closest points (n, 3) of a patch to n points, with (u, v) (n,), the distance (n,), and the unit normal (n, 3) out of
+    the material there. proper (n,) : False where the closest point lies on an open border, seen at an oblique angle."""
+
+    u: Array
+    v: Array
+    point: Array
+    normal: Array
+    distance: Array
+    proper: NDArray[np.bool_]
+
+
+def closest_points(grid: PatchGrid, net: Array, points: Array) -> Closest:
+    """The closest points of the patch over control points net (r, s, 3) to points (n, 3).
+
+    The whole surface counts, trimmed away or not, but for cells of the grid without any vertex of the trimmed face.
+    """
+    g = Workspace(grid, np.zeros(16, np.int64)).load(net, paper=False, delta=0.0)
+    points = np.array(points, dtype=np.float64).reshape(-1, 3)
+    best = np.full((len(points), 9), np.inf)
+    state, owner = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    project(g, points, np.arange(len(points) + 1), 0.0, 0, best, state, owner)
+    return Closest(
+        best[:, U], best[:, V], best[:, POINT : POINT + 3], best[:, NORMAL : NORMAL + 3], best[:, DISTANCE], state == PROPER
+    )
+
+
+@njit
+def project(
+    g: Patch, points: Array, group: Index, tie: float, patch: int, best: Array, state: Index, owner: Index
+) -> None:
+    """Closest points of one patch to points (n, 3), where they are nearer than what `best` (n, 9) holds already.
+
+    group (k + 1,) : points group[i] to group[i + 1] are neighbours. owner (n,) becomes `patch` where it wins. A point as
+    near (to `tie`) as the one of a patch before, and in the same place, is on their common edge: the normals are added (the
+    pseudo-normal of that edge) and the state becomes PROPER, for the edge is no border then.
+    """
+    tick, last = g.tick, len(g.offset) - 2
+    spheres, stamp, offset, tally, covers = g.spheres, g.sphere_stamp, g.offset, g.count, g.covers
+    row_u, row_v, child_u, child_v, box = g.row_u, g.row_v, g.child_u, g.child_v, g.box
+    spans, across = tally[0, 0] * tally[0, 1], tally[0, 1]
+    here = np.empty((max(64, spans), 3), np.int64)
+    there = np.empty((256, 3), np.int64)
+    final = np.empty((256, 3), np.int64)
+    for k in range(spans):
+        here[k, 0], here[k, 1], here[k, 2] = 0, k // across, k % across
+    make_spheres(g, here, spans)
+    found = np.empty(9)
+    scratch = np.empty((9, max(g.degree_u, g.degree_v) + 4))
+    h = np.empty((6, 4))
+    c = np.empty(3)
+    table = np.empty((64, 8))
+    u, v = g.u, g.v
+    warm, px, py, pz, last_u, last_v = False, 0.0, 0.0, 0.0, 0.0, 0.0
+    for gi in range(len(group) - 1):
+        lo, hi = group[gi], group[gi + 1]
+        # the group's sphere
+        cap = 0.0
+        for a in range(3):
+            low, high = np.inf, -np.inf
+            for i in range(lo, hi):
+                low, high = min(low, points[i, a]), max(high, points[i, a])
+            c[a] = 0.5 * (low + high)
+        rho = 0.0
+        for i in range(lo, hi):
+            rho = max(rho, gap(points, i, c))
+            cap = max(cap, best[i, DISTANCE])
+        cap += rho
+        # spans, by their boxes; `upper`: no farther than this is some point of the surface from c
+        upper = np.inf
+        for k in range(spans):
+            if covers[k]:
+                upper = min(upper, gap(spheres, k, c) + spheres[k, 3])
+        count = 0
+        for k in range(spans):
+            if covers[k] and box_gap(box, k, c) <= min(upper + 2.0 * rho, cap):
+                here[count, 0], here[count, 1], here[count, 2] = 0, k // across, k % across
+                count += 1
+        finals = 0
+        for level in range(1, last + 1):
+            fresh, missing = 0, 0
+            for t in range(count):
+                for ku in range(child_u[level - 1, here[t, 1]], child_u[level - 1, here[t, 1] + 1]):
+                    for kv in range(child_v[level - 1, here[t, 2]], child_v[level - 1, here[t, 2] + 1]):
+                        at = offset[level] + ku * tally[level, 1] + kv
+                        if not covers[at]:
+                            continue
+                        if fresh == len(there):
+                            there = grown(there)
+                        there[fresh, 0], there[fresh, 1], there[fresh, 2] = level, ku, kv
+                        fresh += 1
+                        missing += stamp[at] != tick
+            if missing > 0:
+                make_spheres(g, there, fresh)
+            for t in range(fresh):
+                at = offset[level] + there[t, 1] * tally[level, 1] + there[t, 2]
+                upper = min(upper, gap(spheres, at, c) + spheres[at, 3])
+            while len(here) < fresh:
+                here = grown(here)
+            count = 0
+            for t in range(fresh):
+                ku, kv = there[t, 1], there[t, 2]
+                at = offset[level] + ku * tally[level, 1] + kv
+                if gap(spheres, at, c) - spheres[at, 3] > min(upper + 2.0 * rho, cap):
+                    continue
+                one = row_u[level, ku + 1] - row_u[level, ku] == 1 and row_v[level, kv + 1] - row_v[level, kv] == 1
+                if level == last or one or spheres[at, 3] <= NEAR_ENOUGH * upper:
+                    if finals == len(final):
+                        final = grown(final)
+                    final[finals, 0], final[finals, 1], final[finals, 2] = level, ku, kv
+                    finals += 1
+                else:
+                    here[count, 0], here[count, 1], here[count, 2] = level, ku, kv
+                    count += 1
+        # the candidates' middles, radii and (u, v) ranges, side by side
+        while len(table) < finals:
+            table = np.empty((2 * len(table), 8))
+        for t in range(finals):
+            level, ku, kv = final[t, 0], final[t, 1], final[t, 2]
+            at = offset[level] + ku * tally[level, 1] + kv
+            for a in range(3):
+                table[t, a] = spheres[at, a]
+            table[t, 3] = spheres[at, 3] * spheres[at, 3]
+            table[t, 4], table[t, 5] = u[row_u[level, ku]], u[row_u[level, ku + 1]]
+            table[t, 6], table[t, 7] = v[row_v[level, kv]], v[row_v[level, kv + 1]]
+        for i in range(lo, hi):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            reached = np.inf
+            for attempt in range(3):
+                started = False
+                if attempt == 0:
+                    # from the neighbour's closest point, by its tangents
+                    if warm:
+                        du, dv = along(h, x - px, y - py, z - pz)
+                        found[U] = inside(found[U] + du, u[0], u[len(u) - 1], g.wrap_u)
+                        found[V] = inside(found[V] + dv, v[0], v[len(v) - 1], g.wrap_v)
+                        started = True
+                else:
+                    # from the nearest cell that may hold something nearer, unless Newton came out of it or a neighbour
+                    nearest = np.inf
+                    for t in range(finals):
+                        dx, dy, dz = table[t, 0] - x, table[t, 1] - y, table[t, 2] - z
+                        d2 = dx * dx + dy * dy + dz * dz
+                        if d2 < nearest and d2 <= reached * reached + SHEET * table[t, 3]:
+                            wu, wv = table[t, 5] - table[t, 4], table[t, 7] - table[t, 6]
+                            if reached < np.inf and (
+                                last_u >= table[t, 4] - wu and last_u <= table[t, 5] + wu
+                                and last_v >= table[t, 6] - wv and last_v <= table[t, 7] + wv
+                            ):  # fmt: skip
+                                continue
+                            nearest = d2
+                            found[U], found[V] = 0.5 * (table[t, 4] + table[t, 5]), 0.5 * (table[t, 6] + table[t, 7])
+                            started = True
+                    if not started:
+                        break
+                if not started:
+                    continue
+                kind = newton(
+                    g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.poles,
+                    g.slack, x, y, z, found, h, scratch,
+                )  # fmt: skip
+                for a in range(3):
+                    found[NORMAL + a] *= g.flip
+                merge(found, kind, patch, tie, i, best, state, owner)
+                warm, px, py, pz = True, x, y, z
+                if found[DISTANCE] < reached:
+                    reached, last_u, last_v = found[DISTANCE], found[U], found[V]
+
+
+@njit
+def along(h: Array, x: float, y: float, z: float) -> tuple[float, float]:
+    """(du, dv) of the step along the tangents h[1], h[2] that comes nearest to (x, y, z); nothing where they are dependent."""
+    uu = h[1, 0] * h[1, 0] + h[1, 1] * h[1, 1] + h[1, 2] * h[1, 2]
+    uv = h[1, 0] * h[2, 0] + h[1, 1] * h[2, 1] + h[1, 2] * h[2, 2]
+    vv = h[2, 0] * h[2, 0] + h[2, 1] * h[2, 1] + h[2, 2] * h[2, 2]
+    a, b = x * h[1, 0] + y * h[1, 1] + z * h[1, 2], x * h[2, 0] + y * h[2, 1] + z * h[2, 2]
+    det = uu * vv - uv * uv
+    if not det > 1e-6 * uu * vv:
+        return 0.0, 0.0
+    return (vv * a - uv * b) / det, (uu * b - uv * a) / det
+
+
+@njit
+def gap(rows: Array, k: int, c: Array) -> float:
+    """Distance of rows[k, 0:3] from c."""
+    x, y, z = rows[k, 0] - c[0], rows[k, 1] - c[1], rows[k, 2] - c[2]
+    return float(np.sqrt(x * x + y * y + z * z))
+
+
+@njit
+def box_gap(box: Array, k: int, c: Array) -> float:
+    """Distance of c from the box k of (n, 6)."""
+    d = 0.0
+    for a in range(3):
+        x = max(0.0, box[k, a] - c[a], c[a] - box[k, 3 + a])
+        d += x * x
+    return float(np.sqrt(d))
+
+
+@njit
+def merge(found: Array, kind: int, patch: int, tie: float, i: int, best: Array, state: Index, owner: Index) -> None:
+    """Take a result into row i where it is nearer, or join it to one on the common edge with another patch."""
+    if state[i] != NOTHING and owner[i] != patch and abs(found[DISTANCE] - best[i, DISTANCE]) <= tie:
+        apart = 0.0
+        for a in range(3):
+            apart = max(apart, abs(found[POINT + a] - best[i, POINT + a]))
+        if apart <= tie:
+            for a in range(3):
+                best[i, NORMAL + a] += found[NORMAL + a]
+            state[i] = PROPER
+            return
+    if state[i] == NOTHING or found[DISTANCE] < best[i, DISTANCE]:
+        for a in range(9):
+            best[i, a] = found[a]
+        state[i] = kind
+        owner[i] = patch
+
+
+@njit
+def newton(
+    net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, wrap_u: bool, wrap_v: bool, poles: int,
+    slack: float, x: float, y: float, z: float, found: Array, h: Array, scratch: Array,
+) -> int:  # fmt: skip
+    """The local closest point to (x, y, z) from the start (u, v) in found[U], found[V]; fills `found`, returns its kind.
+
+    Newton on |S - x|^2 / 2 with the full Hessian where it is positive, else Gauss and Newton's, halved until the distance
+    falls; parameters on a border that the gradient pushes outwards are held there.
+    """
+    u0, u1 = knots_u[p], knots_u[len(knots_u) - p - 1]
+    v0, v1 = knots_v[q], knots_v[len(knots_v) - q - 1]
+    u, v = found[U], found[V]
+    tolerance = 4.0 * slack
+    f = approach(net, knots_u, knots_v, p, q, rational, u, v, x, y, z, h, scratch)
+    converged, open_border = False, False
+    for _ in range(NEWTON_STEPS):
+        rx, ry, rz = h[0, 0] - x, h[0, 1] - y, h[0, 2] - z
+        gu = rx * h[1, 0] + ry * h[1, 1] + rz * h[1, 2]
+        gv = rx * h[2, 0] + ry * h[2, 1] + rz * h[2, 2]
+        uu = h[1, 0] * h[1, 0] + h[1, 1] * h[1, 1] + h[1, 2] * h[1, 2]
+        uv = h[1, 0] * h[2, 0] + h[1, 1] * h[2, 1] + h[1, 2] * h[2, 2]
+        vv = h[2, 0] * h[2, 0] + h[2, 1] * h[2, 1] + h[2, 2] * h[2, 2]
+        held_u = not wrap_u and ((u <= u0 and gu > 0.0) or (u >= u1 and gu < 0.0))
+        held_v = not wrap_v and ((v <= v0 and gv > 0.0) or (v >= v1 and gv < 0.0))
+        # tangential parts of the connecting line, as lengths
+        off_u, off_v = abs(gu) / np.sqrt(max(uu, 1e-300)), abs(gv) / np.sqrt(max(vv, 1e-300))
+        oblique = 1e-6 * np.sqrt(f) + tolerance
+        open_border = (held_u and off_u > oblique and not poles & (1 if u <= u0 else 2)) or (
+            held_v and off_v > oblique and not poles & (4 if v <= v0 else 8)
+        )
+        if (held_u or off_u <= tolerance) and (held_v or off_v <= tolerance):
+            converged = True
+            break
+        a = uu + rx * h[3, 0] + ry * h[3, 1] + rz * h[3, 2]
+        b = uv + rx * h[4, 0] + ry * h[4, 1] + rz * h[4, 2]
+        c = vv + rx * h[5, 0] + ry * h[5, 1] + rz * h[5, 2]
+        if not (a > 1e-6 * uu and c > 1e-6 * vv and a * c - b * b > 1e-6 * a * c):
+            a, b, c = uu, uv, vv
+        det = a * c - b * b
+        du, dv = 0.0, 0.0
+        if not (held_u or held_v) and det > 1e-12 * a * c:
+            du, dv = (b * gv - c * gu) / det, (b * gu - a * gv) / det
+            # a step that leaves at a border where it already is: along the border instead
+            if not wrap_u and ((u <= u0 and du < 0.0) or (u >= u1 and du > 0.0)):
+                held_u = True
+            elif not wrap_v and ((v <= v0 and dv < 0.0) or (v >= v1 and dv > 0.0)):
+                held_v = True
+        else:
+            du, dv = -gu / max(a, 1e-300), -gv / max(c, 1e-300)
+        if held_u:
+            du, dv = 0.0, -gv / max(c, 1e-300)
+        if held_v:
+            du, dv = (0.0 if held_u else -gu / max(a, 1e-300)), 0.0
+        noise = 2.0 * slack * np.sqrt(f) + slack * slack
+        step, better = 1.0, False
+        while step > 1e-9:
+            un, vn = inside(u + step * du, u0, u1, wrap_u), inside(v + step * dv, v0, v1, wrap_v)
+            fn = approach(net, knots_u, knots_v, p, q, rational, un, vn, x, y, z, h, scratch)
+            if fn <= f + noise:
+                better = True
+                break
+            step *= 0.5
+        if not better:
+            break
+        small = abs(du) * np.sqrt(uu) <= tolerance and abs(dv) * np.sqrt(vv) <= tolerance
+        u, v, f = un, vn, fn
+        if small:
+            converged = True
+            break
+    if not converged:
+        u, v = compass(net, knots_u, knots_v, p, q, rational, wrap_u, wrap_v, tolerance, u, v, x, y, z, h, scratch)
+        f = approach(net, knots_u, knots_v, p, q, rational, u, v, x, y, z, h, scratch)
+    found[DISTANCE], found[U], found[V] = np.sqrt(f), u, v
+    for k in range(3):
+        found[POINT + k] = h[0, k]
+    # the normal; at a pole, that of a point a little inside
+    for attempt in range(3):
+        nx = h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1]
+        ny = h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2]
+        nz = h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0]
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        uu = h[1, 0] * h[1, 0] + h[1, 1] * h[1, 1] + h[1, 2] * h[1, 2]
+        vv = h[2, 0] * h[2, 0] + h[2, 1] * h[2, 1] + h[2, 2] * h[2, 2]
+        if length > 1e-9 * (uu * (u1 - u0) / (v1 - v0) + vv * (v1 - v0) / (u1 - u0)):
+            break
+        nudge = 1e-6 if attempt == 0 else 1e-3
+        un, vn = u + nudge * (0.5 * (u0 + u1) - u), v + nudge * (0.5 * (v0 + v1) - v)
+        approach(net, knots_u, knots_v, p, q, rational, un, vn, x, y, z, h, scratch)
+    for k in range(3):
+        found[NORMAL + k] = (nx, ny, nz)[k] / length if length > 0.0 else 0.0
+    return BORDER if open_border else PROPER
+
+
+@njit
+def inside(t: float, low: float, high: float, wrap: bool) -> float:
+    """t brought back into [low, high]: around a closed direction, else to the border."""
+    if t >= low and t <= high:
+        return t
+    if wrap:
+        return low + (t - low) % (high - low)
+    return low if t < low else high
+
+
+@njit
+def compass(
+    net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, wrap_u: bool, wrap_v: bool,
+    tolerance: float, u: float, v: float, x: float, y: float, z: float, h: Array, scratch: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Downhill by trial steps in eight directions, halved when none helps: where a crease denies Newton its derivatives."""
+    u0, u1 = knots_u[p], knots_u[len(knots_u) - p - 1]
+    v0, v1 = knots_v[q], knots_v[len(knots_v) - q - 1]
+    f = approach(net, knots_u, knots_v, p, q, rational, u, v, x, y, z, h, scratch)
+    speed_u = np.sqrt(h[1, 0] * h[1, 0] + h[1, 1] * h[1, 1] + h[1, 2] * h[1, 2])
+    speed_v = np.sqrt(h[2, 0] * h[2, 0] + h[2, 1] * h[2, 1] + h[2, 2] * h[2, 2])
+    su, sv = 1e-2 * (u1 - u0), 1e-2 * (v1 - v0)
+    for _ in range(400):
+        if su * speed_u <= tolerance and sv * speed_v <= tolerance or su <= 1e-15 * (u1 - u0):
+            break
+        best_u, best_v, best_f = u, v, f
+        for k in range(9):
+            un, vn = inside(u + (k // 3 - 1) * su, u0, u1, wrap_u), inside(v + (k % 3 - 1) * sv, v0, v1, wrap_v)
+            fn = approach(net, knots_u, knots_v, p, q, rational, un, vn, x, y, z, h, scratch)
+            if fn < best_f:
+                best_u, best_v, best_f = un, vn, fn
+        if best_f < f:
+            u, v, f = best_u, best_v, best_f
+        else:
+            su, sv = 0.5 * su, 0.5 * sv
+    return u, v
+
+
+@njit
+def approach(
+    net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, u: float, v: float,
+    x: float, y: float, z: float, h: Array, scratch: Array,
+) -> float:  # fmt: skip
+    """S, S_u, S_v, S_uu, S_uv, S_vv at (u, v) into h (6, 4), and the squared distance of S from (x, y, z).
+
+    scratch (9, >= max(p, q) + 4). Allocates nothing.
+    """
+    iu = find_span(knots_u, p, net.shape[0], u)
+    iv = find_span(knots_v, q, net.shape[1], v)
+    basis_2(knots_u, p, iu, u, scratch, 0)
+    basis_2(knots_v, q, iv, v, scratch, 3)
+    for k in range(6):
+        for c in range(4):
+            h[k, c] = 0.0
+    for b in range(q + 1):
+        d0, d1, d2 = scratch[3, b], scratch[4, b], scratch[5, b]
+        for c in range(4):
+            s0, s1, s2 = 0.0, 0.0, 0.0
+            for a in range(p + 1):
+                e = net[iu - p + a, iv - q + b, c]
+                s0 += scratch[0, a] * e
+                s1 += scratch[1, a] * e
+                s2 += scratch[2, a] * e
+            h[0, c] += d0 * s0
+            h[1, c] += d0 * s1
+            h[2, c] += d1 * s0
+            h[3, c] += d0 * s2
+            h[4, c] += d1 * s1
+            h[5, c] += d2 * s0
+    if rational:
+        w, wu, wv, wuu, wuv, wvv = h[0, 3], h[1, 3], h[2, 3], h[3, 3], h[4, 3], h[5, 3]
+        for c in range(3):
+            h[0, c] /= w
+            h[1, c] = (h[1, c] - wu * h[0, c]) / w
+            h[2, c] = (h[2, c] - wv * h[0, c]) / w
+            h[3, c] = (h[3, c] - 2.0 * wu * h[1, c] - wuu * h[0, c]) / w
+            h[4, c] = (h[4, c] - wu * h[2, c] - wv * h[1, c] - wuv * h[0, c]) / w
+            h[5, c] = (h[5, c] - 2.0 * wv * h[2, c] - wvv * h[0, c]) / w
+    rx, ry, rz = h[0, 0] - x, h[0, 1] - y, h[0, 2] - z
+    return float(rx * rx + ry * ry + rz * rz)
+
+
+@njit
+def basis_2(knots: Array, p: int, span: int, t: float, scratch: Array, row: int) -> None:
+    """The p + 1 nonzero basis functions and their first two derivatives into scratch[row : row + 3] (Piegl and Tiller,
+    eq. 2.7); scratch[6:9] is used on the way. The same numbers as `basis.basis_derivatives`, without allocating."""
+    for k in range(p + 1):
+        for order in range(3):
+            scratch[row + order, k] = 0.0
+        scratch[6, k] = 0.0
+        scratch[7, k] = 0.0
+        scratch[8, k] = 0.0
+    # scratch[row]: the functions of degree d; scratch[6], [7]: those of degree p - 2 and p - 1
+    scratch[row, 0] = 1.0
+    for d in range(1, p + 1):
+        if d == p - 1:
+            for k in range(d):
+                scratch[6, k] = scratch[row, k]
+        if d == p:
+            for k in range(d):
+                scratch[7, k] = scratch[row, k]
+        saved = 0.0
+        for k in range(d):
+            right, left = knots[span + k + 1] - t, t - knots[span + 1 - d + k]
+            part = scratch[row, k] / (right + left)
+            scratch[row, k] = saved + right * part
+            saved = left * part
+        scratch[row, d] = saved
+    # scratch[8]: first derivatives of the functions of degree p - 1
+    if p > 1:
+        for k in range(p):
+            i = span - p + 1 + k
+            left = scratch[6, k - 1] / (knots[i + p - 1] - knots[i]) if k > 0 else 0.0
+            right = scratch[6, k] / (knots[i + p] - knots[i + 1]) if k < p - 1 else 0.0
+            scratch[8, k] = (p - 1) * (left - right)
+    for k in range(p + 1):
+        i = span - p + k
+        left = 1.0 / (knots[i + p] - knots[i]) if k > 0 else 0.0
+        right = 1.0 / (knots[i + p + 1] - knots[i + 1]) if k < p else 0.0
+        before, after = (scratch[7, k - 1], scratch[8, k - 1]) if k > 0 else (0.0, 0.0)
+        scratch[row + 1, k] = p * (before * left - scratch[7, k] * right)
+        scratch[row + 2, k] = p * (after * left - scratch[8, k] * right)

@@ -1,0 +1,298 @@
+"""Contact points as a quadrature over the model's surface: what makes forces independent of the resolution.
+
+The points are the vertices of the finest grid, whatever the levels of detail did before. Each stands for a quarter of its
+cells' areas (for smooth surfaces |S_u x S_v| times the trapezoid weight to second order; right at creases too). A seam's
+vertices count once, a pole's once with all the cells that end there. Where a tool is so small that it reaches the surface
+between the vertices, the cells there are cut further until its print is resolved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..jit import njit, njit_inline
+from ..spline.bounds import S_UU, S_UV, S_VV, span_bounds
+from .closest import approach
+from .grid import Patch, canonical, grown, make_points
+from .spheres import distance2
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+BLOCK = 4
+"""Vertices of one block (this many rows and columns) look for their closest points together."""
+
+ENOUGH_POINTS = 24
+"""A print that is below the grid is resolved when this many sub-cells lie in it: its area is then right to some ten percent."""
+
+MOST_SUBCELLS = 4096
+"""Cells below the grid are cut no further than this many at a time."""
+
+
+@njit_inline
+def quad_area(points: Array, p00: int, p10: int, p01: int, p11: int) -> float:
+    """Area of the quadrilateral of four vertices: half the cross product of its diagonals."""
+    ux, uy, uz = points[p11, 0] - points[p00, 0], points[p11, 1] - points[p00, 1], points[p11, 2] - points[p00, 2]
+    vx, vy, vz = points[p01, 0] - points[p10, 0], points[p01, 1] - points[p10, 1], points[p01, 2] - points[p10, 2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return 0.5 * np.sqrt(x * x + y * y + z * z)
+
+
+@njit_inline
+def ring_of(k: int, m: int, n: int, poles: int) -> tuple[int, int, int, int, float]:
+    """The finest cells (i from, to, j from, to; ends included, not yet brought into the grid) around the vertex k, and its
+    share of each: a quarter, or a half at a pole, which is two corners of its cells."""
+    i, j = k // n, k % n
+    low_i, high_i, low_j, high_j, share = i - 1, i, j - 1, j, 0.25
+    if (poles & 1 and i == 0) or (poles & 2 and i == m - 1):
+        low_j, high_j, share = 0, n - 2, 0.5
+    if (poles & 4 and j == 0) or (poles & 8 and j == n - 1):
+        low_i, high_i, share = 0, m - 2, 0.5
+    return low_i, high_i, low_j, high_j, share
+
+
+@njit_inline
+def in_grid(c: int, cells: int, wrap: bool) -> int:
+    """A cell's row brought into the grid over a closed seam, or -1 beyond the border."""
+    if c >= 0 and c < cells:
+        return c
+    if wrap:
+        return c % cells
+    return -1
+
+
+@njit
+def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
+    """Parameters (n, 2), points (n, 3) and areas (n,) of vertices."""
+    tick, m, n = g.tick, len(g.u), len(g.v)
+    wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
+    points, u, v, cell_area, stamp = g.points, g.u, g.v, g.cell_area, g.area_stamp
+    # the areas of the cells around, each made once per net
+    fresh = np.empty((64, 5), np.int64)
+    count = 0
+    for t in range(len(names)):
+        low_i, high_i, low_j, high_j, share = ring_of(names[t], m, n, poles)
+        for a in range(low_i, high_i + 1):
+            c = in_grid(a, m - 1, wrap_u)
+            for b in range(low_j, high_j + 1):
+                d = in_grid(b, n - 1, wrap_v)
+                if c < 0 or d < 0 or stamp[c * n + d] == tick:
+                    continue
+                stamp[c * n + d] = tick
+                if count == len(fresh):
+                    fresh = grown(fresh)
+                for corner in range(4):
+                    fresh[count, corner] = canonical(
+                        c + (corner & 1), d + (corner >> 1), m, n, wrap_u, wrap_v, poles
+                    )
+                fresh[count, 4] = c * n + d
+                count += 1
+    make_points(g, fresh[:count, :4].copy().ravel(), 4 * count)
+    for s in range(count):
+        cell_area[fresh[s, 4]] = quad_area(points, fresh[s, 0], fresh[s, 1], fresh[s, 2], fresh[s, 3])
+    uv, out, area = np.empty((len(names), 2)), np.empty((len(names), 3)), np.empty(len(names))
+    for t in range(len(names)):
+        k = names[t]
+        uv[t, 0], uv[t, 1] = u[k // n], v[k % n]
+        for x in range(3):
+            out[t, x] = points[k, x]
+        low_i, high_i, low_j, high_j, share = ring_of(k, m, n, poles)
+        total = 0.0
+        for a in range(low_i, high_i + 1):
+            c = in_grid(a, m - 1, wrap_u)
+            for b in range(low_j, high_j + 1):
+                d = in_grid(b, n - 1, wrap_v)
+                if c >= 0 and d >= 0:
+                    total += cell_area[c * n + d]
+        area[t] = share * total
+    return uv, out, area
+
+
+@njit
+def spread(g: Patch, names: Index, mark: int) -> Index:
+    """The vertices on the face that share a cell with one of `names` and do not carry `mark` yet; they get it."""
+    m, n = len(g.u), len(g.v)
+    wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
+    visit, on_face = g.visit, g.inside
+    out = np.empty((64, 1), np.int64)
+    found = 0
+    for t in range(len(names)):
+        low_i, high_i, low_j, high_j, share = ring_of(names[t], m, n, poles)
+        for a in range(low_i, high_i + 1):
+            c = in_grid(a, m - 1, wrap_u)
+            for b in range(low_j, high_j + 1):
+                d = in_grid(b, n - 1, wrap_v)
+                if c < 0 or d < 0:
+                    continue
+                for corner in range(4):
+                    k = canonical(c + (corner & 1), d + (corner >> 1), m, n, wrap_u, wrap_v, poles)
+                    if visit[k] != mark and on_face[k]:
+                        visit[k] = mark
+                        if found == len(out):
+                            out = grown(out)
+                        out[found, 0] = k
+                        found += 1
+    names = out[:found, 0].copy()
+    make_points(g, names, found)
+    return names
+
+
+@njit
+def set_depths(g: Patch, names: Index, depth: Array) -> None:
+    """Note the depths (n,) of vertices in g.depth; -inf where the tool is on no side."""
+    values = g.depth
+    for t in range(len(names)):
+        values[names[t]] = depth[t]
+
+
+def in_blocks(names: Index, columns: int) -> tuple[Index, Index]:
+    """The names ordered by blocks of neighbours, and where each block starts (blocks + 1,)."""
+    key = (names // columns // BLOCK) * (columns // BLOCK + 1) + names % columns // BLOCK
+    order = np.lexsort((names, key))
+    key = key[order]
+    starts = np.concatenate([[0], np.flatnonzero(key[1:] != key[:-1]) + 1, [len(names)]]) if len(names) else np.zeros(1)
+    return names[order], starts.astype(np.int64)
+
+
+@njit
+def unresolved(g: Patch, cells: Index, margin: float, known: int, mark: int) -> Index:
+    """The finest cells (i, j) of `cells` (level, ku, kv) that the tool may reach between their vertices, without a contact in
+    any cell connected to them by such cells.
+
+    The depths of vertices that carry `known` in g.visit are known. A cell is out of reach when one of its vertices is farther
+    from the tool than from any point of the cell (its longest chord and its sag). mark : a number new to g.visit.
+    """
+    m, n, tick = len(g.u), len(g.v), g.tick
+    wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
+    visit, depth, points, row_u, row_v = g.visit, g.depth, g.points, g.row_u, g.row_v
+    stamp, span_u, span_v, bounds, bounds_stamp = g.point_stamp, g.span_u, g.span_v, g.bounds, g.bounds_stamp
+    ids = np.empty(4, np.int64)
+    maybe = np.empty((256, 6), np.int64)
+    count = 0
+    # touched vertices get mark + 1: the known ones in contact, then all of cells that they are connected to
+    for t in range(len(cells)):
+        level, ku, kv = cells[t, 0], cells[t, 1], cells[t, 2]
+        for i in range(row_u[level, ku], row_u[level, ku + 1]):
+            for j in range(row_v[level, kv], row_v[level, kv + 1]):
+                reach2, farthest, touched, complete = 0.0, -np.inf, False, True
+                for c in range(4):
+                    ids[c] = canonical(i + (c & 1), j + (c >> 1), m, n, wrap_u, wrap_v, poles)
+                    complete = complete and stamp[ids[c]] == tick
+                    if visit[ids[c]] >= known:
+                        touched = touched or not depth[ids[c]] < -margin
+                        farthest = max(farthest, -depth[ids[c]])
+                if complete and not touched:
+                    for c in range(4):
+                        for d in range(c):
+                            reach2 = max(reach2, distance2(points, ids[c], ids[d]))
+                    a, b = span_u[i], span_v[j]
+                    hu, hv = g.u[i + 1] - g.u[i], g.v[j + 1] - g.v[j]
+                    if bounds_stamp[a, b] != tick:
+                        bounds_stamp[a, b] = tick
+                        span_bounds(
+                            g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.first_u[i], g.first_v[j], g.rational,
+                            bounds[a, b],
+                        )  # fmt: skip
+                    sag = (hu * hu * bounds[a, b, S_UU] + hv * hv * bounds[a, b, S_VV]) / 8.0
+                    if farthest > np.sqrt(reach2) + sag + margin:
+                        continue
+                if count == len(maybe):
+                    maybe = grown(maybe)
+                maybe[count, 0], maybe[count, 1] = i, j
+                for c in range(4):
+                    maybe[count, 2 + c] = ids[c]
+                    if touched:
+                        visit[ids[c]] = mark
+                count += 1
+    changed, forward, left = True, True, count
+    while changed and left > 0:
+        changed = False
+        for s in range(count):
+            t = s if forward else count - 1 - s
+            if maybe[t, 0] < 0:
+                continue
+            met = False
+            for c in range(4):
+                met = met or visit[maybe[t, 2 + c]] == mark
+            if met:
+                maybe[t, 0] = -1
+                left -= 1
+                changed = True
+                for c in range(4):
+                    visit[maybe[t, 2 + c]] = mark
+        forward = not forward
+    out = np.empty((left, 2), np.int64)
+    total = 0
+    for t in range(count):
+        if maybe[t, 0] >= 0:
+            out[total, 0], out[total, 1] = maybe[t, 0], maybe[t, 1]
+            total += 1
+    return out
+
+
+@njit
+def subcells(g: Patch, cells: Index, place: Array) -> tuple[Array, Array, Array, Array]:
+    """Parts of the finest cells (i, j) of `cells` (n, 2): place (n, 3) is the part's corner and size in the cell, 0 to 1.
+
+    Returns the middle's parameters (n, 2) and points (n, 3), a radius (n,) around it that holds the part, and areas (n,).
+    The radius is the tangents' reach and Taylor's remainder with the span's bounds on the second derivatives.
+    """
+    scratch = np.empty((9, max(g.degree_u, g.degree_v) + 4))
+    h = np.empty((6, 4))
+    uv, points = np.empty((len(cells), 2)), np.empty((len(cells), 3))
+    radius, area = np.empty(len(cells)), np.empty(len(cells))
+    for t in range(len(cells)):
+        i, j = cells[t, 0], cells[t, 1]
+        a, b = g.span_u[i], g.span_v[j]
+        if g.bounds_stamp[a, b] != g.tick:
+            g.bounds_stamp[a, b] = g.tick
+            span_bounds(
+                g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.first_u[i], g.first_v[j], g.rational,
+                g.bounds[a, b],
+            )  # fmt: skip
+        hu, hv = g.u[i + 1] - g.u[i], g.v[j + 1] - g.v[j]
+        du, dv = 0.5 * hu * place[t, 2], 0.5 * hv * place[t, 2]
+        uv[t, 0], uv[t, 1] = g.u[i] + hu * place[t, 0] + du, g.v[j] + hv * place[t, 1] + dv
+        approach(
+            g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, uv[t, 0], uv[t, 1], 0.0, 0.0, 0.0, h, scratch
+        )
+        plus, minus = 0.0, 0.0
+        for c in range(3):
+            points[t, c] = h[0, c]
+            plus += (h[1, c] * du + h[2, c] * dv) ** 2
+            minus += (h[1, c] * du - h[2, c] * dv) ** 2
+        second = du * du * g.bounds[a, b, S_UU] + 2.0 * du * dv * g.bounds[a, b, S_UV] + dv * dv * g.bounds[a, b, S_VV]
+        radius[t] = np.sqrt(max(plus, minus)) + 0.5 * second + g.slack
+        x, y = h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1], h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2]
+        z = h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0]
+        area[t] = 4.0 * du * dv * np.sqrt(x * x + y * y + z * z)
+    return uv, points, radius, area
+
+
+def below_grid(
+    g: Patch, cells: Index, distance: Callable[[Array], Array], margin: float, tolerance: float
+) -> tuple[Array, Array, Array]:
+    """Contacts of a tool that reaches the surface between the vertices of the finest cells (i, j) of `cells` (n, 2).
+
+    The cells are cut in four, and those whose sphere stays away from the tool dropped, until ENOUGH_POINTS middles lie in
+    the tool (distance <= margin), or what is left is smaller than `tolerance`: a print no deeper than that is not found.
+    Returns parameters (k, 2), points (k, 3) and areas (k,).
+    """
+    place = np.tile([0.0, 0.0, 1.0], (len(cells), 1))
+    corner = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])
+    while len(cells):
+        uv, points, radius, area = subcells(g, cells, place)
+        d = distance(points)
+        hit = d <= margin
+        near = ~(d > radius + margin)
+        if hit.sum() >= ENOUGH_POINTS or 4 * near.sum() > MOST_SUBCELLS or not (radius[near] > tolerance).any():
+            return uv[hit], points[hit], area[hit]
+        cells = np.repeat(cells[near], 4, axis=0)
+        size = np.repeat(place[near, 2], 4)
+        start = (place[near, None, :2] + place[near, None, 2:] * corner).reshape(-1, 2)
+        place = np.column_stack([start, 0.5 * size])
+    return np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0)

@@ -1,0 +1,78 @@
+"""`cadsculpt convert`: a CAD file in another format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ..errors import InputError
+from .console import ProgressDisplay, warn
+
+if TYPE_CHECKING:
+    from ..formats.part import Face, Part
+
+FORMATS = {
+    ".step": "step",
+    ".stp": "step",
+    ".iges": "iges",
+    ".igs": "iges",
+    ".3dm": "3dm",
+    ".json": "json",
+}
+"""What an extension stands for; NAME.geomdl.json is the JSON of NURBS-Python."""
+
+
+@click.command("convert")
+@click.argument("source", type=click.Path(path_type=Path), metavar="IN")
+@click.argument("target", type=click.Path(path_type=Path), metavar="OUT")
+@click.option(
+    "--face", "faces", multiple=True, metavar="NAME", help="Only this face (name or number); may be repeated."
+)
+@click.option("--units", metavar="U", help="Length unit of a file that names none or the wrong one: mm, in, m, ...")
+@click.option("--force", is_flag=True, help="Overwrite OUT if it exists.")
+@click.option("--quiet", is_flag=True, help="No progress.")
+def command(source: Path, target: Path, faces: tuple[str, ...], units: str | None, force: bool, quiet: bool) -> int:
+    """Write a CAD file IN as OUT, in the format of OUT's extension: .step .stp .igs .iges .3dm .json .geomdl.json
+
+    With --face only the surfaces of these faces are written, to .json, .geomdl.json or .3dm.
+
+    \b
+    cadsculpt convert part.igs part.step
+    cadsculpt convert part.step top.json --face top
+    """
+    from ..formats import registry
+
+    format = format_of(target)
+    if target.exists() and not force:
+        raise InputError("it exists", where=str(target), mend="choose another name, or overwrite it with --force")
+    with ProgressDisplay(quiet=quiet) as progress:
+        progress.update("reading", remark=source.name)
+        part = registry.read(source, units=units)
+        progress.update("writing", remark=target.name)
+        if faces:
+            chosen = chosen_faces(part, faces)
+            registry.write_surfaces([face.surface for face in chosen], target, format)
+        else:
+            registry.write_part(part, target, format)
+    for line in part.warnings:
+        warn(line)
+    return 0
+
+
+def format_of(target: Path) -> str:
+    """The format that a file's name asks for. Raises InputError for a name that asks for none."""
+    name = target.name.lower()
+    if name.endswith(".geomdl.json"):
+        return "geomdl"
+    if target.suffix.lower() not in FORMATS:
+        raise InputError(f"no format is known by {target.suffix or 'no extension'!r}", where=str(target),
+                         mend=f"use one of {', '.join(FORMATS)}, .geomdl.json")  # fmt: skip
+    return FORMATS[target.suffix.lower()]
+
+
+def chosen_faces(part: Part, names: tuple[str, ...]) -> list[Face]:
+    """The faces of these names or numbers, each once, in the part's order."""
+    known = {face.name for face in part.faces}
+    return part.faces.select([int(name) if name.isdecimal() and name not in known else name for name in names])

@@ -1,0 +1,53 @@
+"""`cadsculpt tools`: the tools that come with cadsculpt."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from .console import print_json, print_table
+
+
+@click.command("tools")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there.")
+def command(as_json: bool) -> int:
+    """List the tools that come with cadsculpt.
+
+    A scene takes one by its name, with use = "thumb" in a [[tool]] table.
+
+    \b
+    cadsculpt tools
+    cadsculpt tools --json
+    """
+    from ..formats import tool_toml
+
+    tools = [_tool_object(name, tool_toml.read(path)) for name, path in tool_toml.library().items()]
+    if as_json:
+        print_json({"tools": tools})
+        return 0
+    rows = [(tool["name"], tool["shape"], _sizes(tool), tool["description"]) for tool in tools]
+    print_table(("name", "shape", "sizes", "what it is"), rows)
+    return 0
+
+
+def _tool_object(name: str, definition: Any) -> dict[str, Any]:
+    sizes = {key: value for key, value in definition.keys.items() if key not in ("shape", "schema_version")}
+    return {
+        "name": name,
+        "shape": definition.keys["shape"],
+        "units": definition.units,
+        "description": definition.description,
+        "sizes": sizes,
+    }
+
+
+def _sizes(tool: dict[str, Any]) -> str:
+    """Sizes in words: "radius 8 mm"."""
+    numbers = {key: value for key, value in tool["sizes"].items() if not isinstance(value, (str, bool))}
+    parts = []
+    for key, value in numbers.items():
+        several = isinstance(value, list)
+        text = " x ".join(f"{item:g}" for item in value) if several else f"{value:g}"
+        parts.append(f"{key} {text}")
+    return f"{', '.join(parts)} {tool['units']}" if parts else ""

@@ -1,0 +1,171 @@
+"""How large a tool may be at a spot of a face, how deep it may press, and the lattice that goes with it. In mm."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..motion.path import rotation_to_axis
+from ..motion.pose import Pose
+from ..tools.implicit import ImplicitTool
+from .face_survey import FaceSurvey, Spot
+from .part import Face
+
+Array = NDArray[np.float64]
+
+SHAPES = ("sphere", "ellipsoid", "capsule", "cylinder", "cone", "box", "torus", "point")
+"""Tools that can be sized to a face. A half-space has no size, a surface, mesh or formula no usual one."""
+
+SPLINES = ("bspline", "bezier")
+PREFER_SPLINES = 8.0
+"""A free-form face wins over another on which the dent would be up to this many times larger."""
+
+USUAL_NODES, MOST_NODES = 4000, 12000
+"""Nodes on the face, about: as a rule, and where the dent is small."""
+
+DEEP = 0.05
+"""How deep the tool presses, as a fraction of the face's size."""
+
+LAYERS = (2, 5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Press:
+    """A tool above a spot of a face, in mm. scale : the radius of the ball that the tool fills, about.
+
+    start, end : height of the tool's origin above the spot, along its normal, when the path begins and at its deepest.
+    """
+
+    survey: FaceSurvey
+    spot: Spot
+    shape: str
+    scale: float
+    depth: float
+    start: float
+    end: float
+    thickness: float
+    spacing: float
+    score: float
+
+    @property
+    def layers(self) -> int:
+        return int(np.clip(round(self.thickness / self.spacing), *LAYERS))
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the dent that a ball makes."""
+        return math.sqrt(max(2.0 * self.scale * self.depth - self.depth**2, 0.0))
+
+
+def press_at(seen: FaceSurvey, spot: Spot, shape: str, around: Array) -> Press | None:
+    """The largest tool, and the deepest press, that a spot takes; None when nothing sensible fits."""
+    scale = min(0.4 * spot.room, 0.7 * spot.free_radius)
+    depth = min(DEEP * min(seen.size, 3.0 * spot.room), 0.45 * scale, 0.3 * seen.fold)
+    if not depth > 0.0:
+        return None
+    thickness = min(2.2 * depth, 0.65 * seen.fold)
+    points = np.concatenate([around, seen.points[seen.room > 0.0], seen.near(spot, 3.0 * scale)])
+    for _ in range(12):
+        touch = touch_height(tool_of(shape, scale), spot, points)
+        start = touch + 0.2 * scale
+        if clearance(tool_of(shape, scale), spot, start, points) >= 0.05 * scale:
+            break
+        scale *= 0.8
+        depth = min(depth, 0.45 * scale)
+    else:
+        return None
+    sized = Press(seen, spot, shape, scale, depth, start, touch - depth, thickness, 1.0, 0.0)
+    spacing = _spacing(seen, sized.half_width)
+    return replace(sized, spacing=spacing, score=_score(seen, sized, spacing))
+
+
+def _spacing(seen: FaceSurvey, half_width: float) -> float:
+    """Node spacing: the shorter side in 40, or a third of the dent's half width where that is not enough."""
+    area = math.prod(seen.lengths)
+    usual = max(math.sqrt(area / USUAL_NODES), min(seen.lengths) / 40.0)
+    return max(math.sqrt(area / MOST_NODES), min(usual, half_width / 3.0))
+
+
+def _score(seen: FaceSurvey, press: Press, spacing: float) -> float:
+    """How good a dent this will be: its half width, less where nodes would not resolve it or would be many or slow."""
+    resolved = min(1.0, press.half_width / (2.0 * spacing))
+    nodes = math.prod(
+        max(length / spacing, 2.0 * spans) for length, spans in zip(seen.lengths, seen.spans, strict=True)
+    )
+    # sub-steps follow the smallest cell, that of the shortest knot span
+    smallest = min(spacing, 0.5 * seen.shortest, press.thickness / 2.0)
+    slow = (nodes / USUAL_NODES) * (press.thickness / smallest) / 10.0
+    broken = 1.0 if np.isfinite(seen.normals).all() else 0.1
+    return kind_factor(seen.face) * press.half_width * resolved**2 * broken / math.sqrt(max(1.0, slow))
+
+
+def kind_factor(face: Face) -> float:
+    """How much more a face of this kind is wanted than another."""
+    return PREFER_SPLINES if face.kind in SPLINES else 1.0
+
+
+def tool_of(shape: str, scale: float) -> ImplicitTool | None:
+    """The tool as the engine makes it; None for a point."""
+    sizes = sizes_of(shape, scale)
+    rounding = sizes.get("rounding", 0.0)
+    match shape:
+        case "sphere":
+            return ImplicitTool.sphere(sizes["radius"])
+        case "ellipsoid":
+            return ImplicitTool.ellipsoid(sizes["radii"])
+        case "capsule":
+            return ImplicitTool.capsule(sizes["radius"], sizes["length"])
+        case "cylinder":
+            return ImplicitTool.cylinder(sizes["radius"], sizes["height"], rounding)
+        case "cone":
+            return ImplicitTool.cone(sizes["radius"], sizes["height"])
+        case "box":
+            return ImplicitTool.box(sizes["size"], rounding)
+        case "torus":
+            return ImplicitTool.torus(sizes["major_radius"], sizes["minor_radius"])
+    return None
+
+
+def sizes_of(shape: str, scale: float) -> dict[str, Any]:
+    """The sizes of a tool that fills a ball of radius `scale`, about; its tip or flat points along -z."""
+    s = scale
+    sizes: dict[str, dict[str, Any]] = {
+        "sphere": {"radius": s},
+        "ellipsoid": {"radii": [s, 0.7 * s, 1.3 * s]},
+        "capsule": {"radius": 0.7 * s, "length": 1.2 * s},
+        "cylinder": {"radius": 0.7 * s, "height": 1.5 * s, "rounding": 0.2 * s},
+        "cone": {"radius": s, "height": 1.5 * s},
+        "box": {"size": [1.2 * s, 1.0 * s, 1.5 * s], "rounding": 0.2 * s},
+        "torus": {"major_radius": 0.7 * s, "minor_radius": 0.3 * s},
+        "point": {},
+    }
+    return sizes[shape]
+
+
+def clearance(tool: ImplicitTool | None, spot: Spot, height: float, points: Array) -> float:
+    """Smallest distance of the tool, its origin `height` above the spot, to the points; negative inside."""
+    pose = Pose(spot.point + height * spot.normal, rotation_to_axis(spot.normal))
+    local = pose.to_tool(points)
+    distance = np.linalg.norm(local, axis=1) if tool is None else tool.field(local)[0]
+    return float(distance.min())
+
+
+def touch_height(tool: ImplicitTool | None, spot: Spot, points: Array) -> float:
+    """Height of the tool's origin above the spot at which it first touches the points, coming down along the normal."""
+    if tool is None:
+        return 0.0
+    low, high = float(tool.box_corners[0, 2]), -float(tool.box_corners[0, 2])
+    reach = float(np.linalg.norm(tool.box_corners, axis=1).max())
+    near = points[np.linalg.norm(points - spot.point, axis=1) < 3.0 * reach]
+    high = max(high, 0.0) + reach
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if clearance(tool, spot, middle, near) > 0.0:
+            high = middle
+        else:
+            low = middle
+    return high

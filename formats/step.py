@@ -1,0 +1,166 @@
+"""STEP files (ISO 10303-21: AP203, AP214, AP242), read and written by the CAD kernel."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+from OCP.APIHeaderSection import APIHeaderSection_MakeHeader
+from OCP.collections import Sequence_TCollection_AsciiString
+from OCP.IFSelect import IFSelect_ReturnStatus
+from OCP.Interface import Interface_Static
+from OCP.StepData import StepData_StepWriter
+from OCP.STEPCAFControl import STEPCAFControl_Controller, STEPCAFControl_Reader, STEPCAFControl_Writer
+from OCP.STEPControl import STEPControl_StepModelType
+from OCP.TCollection import TCollection_HAsciiString
+
+from .._version import __version__
+from ..errors import InputError
+from ..units import conversion, unit_name
+from .atomic import write_whole
+from .occt import OcctPart
+from .occt_document import METRES_PER_MM, count_faces, face_names, free_shapes, new_document, set_length_unit
+from .occt_quiet import quiet
+from .step_text import REAL_FORMAT, TIME_STAMP, StepFacts, facts_of, settled
+
+_KERNEL_UNITS = {
+    "um": "UM", "mm": "MM", "cm": "CM", "m": "M", "km": "KM", "in": "INCH", "ft": "FT", "mi": "MILE", "mil": "MIL",
+    "uin": "UIN",
+}  # fmt: skip
+"""Length units that the kernel writes, by its own names."""
+
+
+def read(path: Path, *, units: str | None = None) -> OcctPart:
+    """Read a STEP file. `units`: take its numbers to be in this unit, whatever the file says.
+
+    Raises InputError, in one line, when the file is missing, empty, no STEP file, beyond reading or without faces.
+    """
+    data = _content(path)
+    facts = facts_of(data)
+    with quiet():
+        STEPCAFControl_Controller.Init_s()
+        Interface_Static.SetIVal_s("read.stepcaf.subshapes.name", 1)
+        reader = STEPCAFControl_Reader()
+        for mode in ("Name", "Color", "Layer", "Props", "Mat"):
+            getattr(reader, f"Set{mode}Mode")(True)
+        status = reader.ReadStream(path.name, io.BytesIO(data))
+        if status != IFSelect_ReturnStatus.IFSelect_RetDone:
+            raise InputError("the CAD kernel cannot read it", where=str(path), mend=_mend(facts))
+        unit, warnings = _unit_of(reader)
+        document = new_document()
+        factor = 1.0
+        if units is not None:
+            factor = conversion(unit_name(units), unit)
+            unit = unit_name(units)
+        set_length_unit(document, METRES_PER_MM / factor)
+        done = reader.Transfer(document)
+        set_length_unit(document, METRES_PER_MM)
+        shapes = free_shapes(document)
+        count = count_faces(shapes)
+        if not done or count == 0:
+            what = f"none of its {facts.faces} faces can be read" if facts.faces else "it holds no surfaces"
+            raise InputError(what, where=str(path), mend=_mend(facts))
+        warnings += _losses(facts, count)
+        names = face_names(document)
+    return OcctPart(document, path, "step", unit, warnings=warnings, schema=facts.schema, names=names)
+
+
+def _content(path: Path) -> bytes:
+    """The file's bytes. Raises InputError when they cannot be those of a STEP file."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", where=str(path)) from error
+    if not data.strip():
+        raise InputError("the file is empty", where=str(path), mend="export it again")
+    if b"ISO-10303-21" not in data[:4096].upper():
+        raise InputError("this is no STEP file", where=str(path), mend="a STEP file begins with ISO-10303-21;")
+    return data
+
+
+def _mend(facts: StepFacts) -> str:
+    """What the user can do about a file that gives no faces."""
+    if not facts.complete:
+        return "the file breaks off before its end: export or copy it again"
+    if facts.damaged:
+        return f"{facts.damaged} of its entities are damaged: export it again"
+    return "export surfaces or solids from the CAD system"
+
+
+def _losses(facts: StepFacts, count: int) -> list[str]:
+    """What of the file did not arrive."""
+    lines = []
+    if not facts.complete:
+        lines.append("the file breaks off before its end; what stands in it was read")
+    if facts.damaged:
+        lines.append(f"{facts.damaged} entities of the file are damaged or refer to entities that are not there")
+    if count < facts.faces:
+        lines.append(f"the file holds {facts.faces} faces, {count} could be read")
+    return lines
+
+
+def _unit_of(reader: STEPCAFControl_Reader) -> tuple[str, list[str]]:
+    """The file's length unit, and what to say about it."""
+    lengths, angles, solid_angles = (Sequence_TCollection_AsciiString() for _ in range(3))
+    reader.ChangeReader().FileUnits(lengths, angles, solid_angles)
+    found: list[str] = []
+    unknown: list[str] = []
+    for i in range(1, lengths.Length() + 1):
+        text = lengths.Value(i).ToCString()
+        try:
+            name = unit_name(text)
+        except InputError:
+            unknown.append(text)
+            continue
+        if name not in found:
+            found.append(name)
+    warnings = []
+    if len(found) > 1:
+        warnings.append(f"the file mixes the length units {', '.join(found)}; all were brought to mm")
+    if unknown:
+        warnings.append(f"the file's length unit {unknown[0]!r} is not known by name; lengths were brought to mm")
+    return (found[0] if found else "mm"), warnings
+
+
+def write(part: OcctPart, path: Path) -> None:
+    """Write a part as STEP in its own unit and application protocol, with names, colours, layers and placements.
+
+    One part gives the same bytes at any time in any process. Raises InputError when it cannot be written; nothing is
+    left behind then.
+    """
+    with quiet():
+        data = text_of(part, path.name)
+    write_whole(path, data)
+
+
+def text_of(part: OcctPart, name: str) -> bytes:
+    """The STEP file of a part. `name` goes into the header."""
+    STEPCAFControl_Controller.Init_s()
+    Interface_Static.SetCVal_s("write.step.unit", _KERNEL_UNITS.get(part.units, "MM"))
+    Interface_Static.SetCVal_s("write.step.schema", part.schema or "AP214IS")
+    Interface_Static.SetIVal_s("write.stepcaf.subshapes.name", 1)
+    Interface_Static.SetCVal_s("write.step.product.name", "part")
+    writer = STEPCAFControl_Writer()
+    for mode in ("Name", "Color", "Layer", "Material"):
+        getattr(writer, f"Set{mode}Mode")(True)
+    writer.SetPropsMode(not part.sculpted)  # areas and volumes of the sender are no longer true
+    if not writer.Transfer(part.document, STEPControl_StepModelType.STEPControl_AsIs):
+        raise InputError("the CAD kernel cannot write the part as STEP", where=str(part.path))
+    model = writer.ChangeWriter().Model()
+    header = APIHeaderSection_MakeHeader(model)
+    header.SetName(TCollection_HAsciiString(name))
+    header.SetTimeStamp(TCollection_HAsciiString(TIME_STAMP))
+    header.SetAuthorValue(1, TCollection_HAsciiString(""))
+    header.SetOrganizationValue(1, TCollection_HAsciiString(""))
+    header.SetPreprocessorVersion(TCollection_HAsciiString("Open CASCADE 8"))
+    header.SetOriginatingSystem(TCollection_HAsciiString(f"cadsculpt {__version__}"))
+    header.SetDescriptionValue(1, TCollection_HAsciiString("cadsculpt part"))
+    sender = StepData_StepWriter(model)
+    numbers = sender.FloatWriter()
+    numbers.SetFormat(REAL_FORMAT)
+    numbers.SetZeroSuppress(False)
+    sender.SendModel(writer.ChangeWriter().WS().Protocol())
+    stream = io.BytesIO()
+    if not sender.Print(stream):
+        raise InputError("the CAD kernel cannot write the part as STEP", where=str(part.path))
+    return settled(stream.getvalue())
