@@ -16,6 +16,7 @@ from .history import History, Summary
 from .model import Model
 from .record import ContactRecord, Frame, StepRecord
 from .session import Buildable, Session
+from .spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
 
@@ -88,6 +89,33 @@ class _Clearance:
         return distance
 
 
+@dataclass(slots=True, eq=False)
+class _Farthest:
+    """How far the surfaces have moved from their rest shape, on the grids that collision uses."""
+
+    rest: list[Array]
+    _net: list[Array | None] = field(default_factory=list)
+
+    def moved(self, session: Session) -> float:
+        """Largest displacement of any surface now; a net that is as it was is not looked at again."""
+        result = 0.0
+        self._net = self._net or [None] * len(self.rest)
+        for i, (patch, rest) in enumerate(zip(session.model.patches, self.rest, strict=True)):
+            net = session.state.control_points[i]
+            if self._net[i] is not None and np.array_equal(net, self._net[i]):
+                continue
+            self._net[i] = net
+            distance = np.linalg.norm(patch.grid.matrices.points(net, patch.surface.weights) - rest, axis=2)
+            if patch.grid.inside is not None:
+                distance = distance[patch.grid.inside]
+            result = max(result, float(distance.max(initial=0.0)))
+        return result
+
+
+def _net(surface: BSplineSurface) -> tuple[Array, Array | None]:
+    return surface.control_points, surface.weights
+
+
 def run(
     source: Session | Model | Buildable,
     *,
@@ -110,6 +138,7 @@ def run(
     else:
         refuse_tools_inside(session)
     clearance = _Clearance.of(model)
+    farthest = _Farthest([patch.grid.matrices.points(*_net(patch.surface)) for patch in model.patches])
     frames = FrameMaker.of(session) if hooks.on_frame else None
     every = max(1, round(1.0 / (model.scene.output.frames_per_second * model.step)))
     if frames and hooks.on_frame and resume is None:
@@ -123,13 +152,7 @@ def run(
             break
         state = session.state
         history.add(state.time, session.contacts, session.forces, session.depths, clearance.measure(session))
-        history.max_displacement = max(
-            history.max_displacement,
-            *(
-                float(np.linalg.norm(session.displacement(i), axis=2)[patch.material_nodes].max(initial=0.0))
-                for i, patch in enumerate(model.patches)
-            ),
-        )
+        history.max_displacement = max(history.max_displacement, farthest.moved(session))
         if hooks.on_step:
             each = [reactions[tool.name] for tool in model.tools]
             record = StepRecord(

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from ..errors import InputError
+from ..units import conversion
 from .console import ProgressDisplay, warn
 
 if TYPE_CHECKING:
     from ..formats.part import Face, Part
+    from ..spline.surface import BSplineSurface
 
 FORMATS = {
     ".step": "step",
@@ -36,13 +39,14 @@ FORMATS = {
 def command(source: Path, target: Path, faces: tuple[str, ...], units: str | None, force: bool, quiet: bool) -> int:
     """Write a CAD file IN as OUT, in the format of OUT's extension: .step .stp .igs .iges .3dm .json .geomdl.json
 
-    With --face only the surfaces of these faces are written, to .json, .geomdl.json or .3dm.
+    With --face only the surfaces of these faces are written.
 
     \b
     cadsculpt convert part.igs part.step
     cadsculpt convert part.step top.json --face top
     """
     from ..formats import registry
+    from ..formats.geomdl_json import write_surfaces as write_geomdl
 
     format = format_of(target)
     if target.exists() and not force:
@@ -52,8 +56,9 @@ def command(source: Path, target: Path, faces: tuple[str, ...], units: str | Non
         part = registry.read(source, units=units)
         progress.update("writing", remark=target.name)
         if faces:
-            chosen = chosen_faces(part, faces)
-            registry.write_surfaces([face.surface for face in chosen], target, format)
+            part = part_of_faces(part, chosen_faces(part, faces))
+        if format == "geomdl":
+            write_geomdl(target, [in_file_units(part, face) for face in part.faces])
         else:
             registry.write_part(part, target, format)
     for line in part.warnings:
@@ -76,3 +81,18 @@ def chosen_faces(part: Part, names: tuple[str, ...]) -> list[Face]:
     """The faces of these names or numbers, each once, in the part's order."""
     known = {face.name for face in part.faces}
     return part.faces.select([int(name) if name.isdecimal() and name not in known else name for name in names])
+
+
+def part_of_faces(part: Part, faces: list[Face]) -> Part:
+    """A part of these faces' surfaces alone, in the unit of the file that they come from."""
+    from ..formats.patch_part import PatchPart
+
+    only = PatchPart(part.path, "json", part.units or "mm", [in_file_units(part, face) for face in faces])
+    only.warnings += part.warnings
+    return only
+
+
+def in_file_units(part: Part, face: Face) -> BSplineSurface:
+    """The face's surface in the unit of its file."""
+    surface = face.surface.scaled(conversion("mm", part.units or "mm"))
+    return replace(surface, name=face.name)

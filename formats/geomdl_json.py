@@ -1,8 +1,8 @@
 """The JSON of NURBS-Python (geomdl 5), both ways.
 
-Control points are one flat list, v fastest; the format has no units. A trim is a closed curve, or a "container" of curves;
-"reversed" true keeps what is inside, false cuts it out, and where it is missing the direction tells: anticlockwise
-keeps. Layout after geomdl/_exchange.py and geomdl/trimming.py.
+Control points are one flat list, v fastest; the format has no units. A trim is a closed curve, or a "container" of
+curves; "reversed" true keeps what is inside, false cuts it out, and where it is missing the direction tells:
+anticlockwise keeps. Layout after geomdl/_exchange.py and geomdl/trimming.py.
 """
 
 from __future__ import annotations
@@ -186,15 +186,15 @@ def _whole(item: Mapping[str, Any], key: str, where: str) -> int:
     return value
 
 
-
 # ---------------------------------------------------------------------- writing
 
 
 def write_surfaces(path: Path, surfaces: Sequence[BSplineSurface]) -> None:
     """Write surfaces as NURBS-Python JSON, whole or not at all. The format has no units.
 
-    NURBS-Python runs every knot vector from 0 to 1 when it reads and expects trims in that range, so a trimmed surface is
-    written with knots and trims in it; knots of untrimmed surfaces stay as they are. Periodic directions stay unrolled.
+    NURBS-Python runs every knot vector from 0 to 1 when it reads and expects trims in that range, so a trimmed surface
+    is written with knots and trims in it; knots of untrimmed surfaces stay as they are. Periodic directions stay
+    unrolled.
     """
     from .atomic import write_whole
 

@@ -60,7 +60,12 @@ def numbers(value: object, where: str, dimensions: int, last: int = 0) -> NDArra
         array = np.array(value)
     except (ValueError, OverflowError):
         array = np.empty(0, dtype=object)
-    if array.ndim != dimensions or array.dtype.kind not in "iuf" or (last and array.shape[-1] != last) or not array.size:
+    if (
+        array.ndim != dimensions
+        or array.dtype.kind not in "iuf"
+        or (last and array.shape[-1] != last)
+        or not array.size
+    ):
         inner = f"points of {last} numbers" if last else "numbers"
         outer = dimensions - 1 if last else dimensions
         rows = ", every row as long as the others," if outer > 1 else ""

@@ -19,7 +19,7 @@ MEETING = 1e-5
 
 
 def edges_of_surface(surface: BSplineSurface) -> list[FaceEdge]:
-    """The edges of one face, loop by loop in the loops' direction; an untrimmed surface has the four sides of its domain."""
+    """The edges of one face, loop by loop and in their direction; an untrimmed surface has its domain's four sides."""
     from .occt_boundary import sample_edge
 
     edges = []
@@ -49,7 +49,7 @@ def boundary_curves(surface: BSplineSurface) -> list[TrimCurve]:
 
 
 def join(faces: Sequence[Sequence[FaceEdge]]) -> list[list[FaceEdge]]:
-    """The same edges, each with the numbers (from 1) of the other faces that have it too; one met twice in a face is a seam."""
+    """The same edges with the numbers (from 1) of the other faces that have them too; one twice in a face is a seam."""
     flat = [(number, edge) for number, edges in enumerate(faces, 1) for edge in edges]
     points = [edge.points for _, edge in flat if len(edge.points)]
     if not points:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CadsculptError, InputError
+from ..jit import first_compilation
 from ..physics.material import PRESETS
 from ..units import conversion, metres_per_unit
 from . import registry
 from .face_survey import FaceSamples, part_samples, survey
 from .load import Loaded, load
 from .part import Face, Part
-from .press import SHAPES, Press, kind_factor, press_at, sizes_of
+from .press import SHAPES, Press, kind_factor, placed, sizes_of, wanted
 from .scene_toml import SceneFile, dump
 
 Array = NDArray[np.float64]
@@ -73,30 +74,37 @@ def new_scene(
     if shape not in SHAPES:
         raise InputError(f"no {shape!r} to put above a face", mend=f"use one of {', '.join(SHAPES)}")
     tell = on_progress or (lambda words: None)
+    first = ", compiling the kernels, once on this machine" if first_compilation() else ""
     tell(f"reading {path.name}")
     part = registry.read(path)
     chosen = _chosen(part, face)
     tell("looking for a place")
     failures: list[str] = []
-    presses = sorted(_presses(part, chosen, shape, failures), key=lambda press: -press.score)
+    samples = part_samples(part)
+    around = np.concatenate([np.zeros((0, 3)), *(entry.points for entry in samples.values())])
+    presses = sorted(_presses(chosen, samples, around, failures), key=lambda press: -press.score)
     builds, unfit = 0, set[int]()
-    for press in presses:
-        number = press.survey.face.number
+    for wish in presses:
+        face_name, number = wish.survey.face.name, wish.survey.face.number
         if number in unfit:
             continue
         if builds == MOST_BUILDS:
             break
+        press = placed(wish, shape, around)
+        if press is None:
+            failures.append(f"face {face_name!r}: there is no room above it")
+            continue
         builds += 1
-        tell(f"building the scene on face {press.survey.face.name!r}")
+        tell(f"building the scene on face {face_name!r}{first}")
         try:
-            made = _confirmed(press, part, path, out)
+            made = _confirmed(press, shape, part, path, out)
         except CadsculptError as error:
-            failures.append(f"face {press.survey.face.name!r}: {error.what}")
+            failures.append(f"face {face_name!r}: {error.what}")
             unfit.add(number)
             continue
         if isinstance(made, NewScene):
             return made
-        failures.append(f"face {press.survey.face.name!r}: {made}")
+        failures.append(f"face {face_name!r}: {made}")
     why = f": {failures[-1]}" if failures else ""
     mend = "choose another face with --face, or a smaller tool in a scene of your own" if part.faces else ""
     raise InputError(f"no face on which a {shape} can press{why}", where=str(path), mend=mend)
@@ -114,10 +122,10 @@ def _chosen(part: Part, face: str | None) -> list[Face]:
     return [part.faces.number(int(face)) if face.isdecimal() and not named else part.faces.named(face)]
 
 
-def _presses(part: Part, faces: Sequence[Face], shape: str, failures: list[str]) -> Iterator[Press]:
+def _presses(
+    faces: Sequence[Face], samples: Mapping[int, FaceSamples], around: Array, failures: list[str]
+) -> Iterator[Press]:
     """Presses worth trying. Faces are surveyed from the most promising on, until no other can be better."""
-    samples = part_samples(part)
-    around = np.concatenate([np.zeros((0, 3)), *(entry.points for entry in samples.values())])
     ranked = sorted(((_promise(face, samples.get(face.number)), face) for face in faces), key=lambda entry: -entry[0])
     best, surveyed = 0.0, 0
     for promise, face in ranked:
@@ -131,29 +139,25 @@ def _presses(part: Part, faces: Sequence[Face], shape: str, failures: list[str])
         except CadsculptError as error:
             failures.append(f"face {face.name!r}: {error}")
             continue
-        if not seen.room.any():
-            failures.append(f"face {face.name!r}: it is too narrow")
-            continue
-        found = 0
-        for spot in seen.spots(around):
-            press = press_at(seen, spot, shape, around)
-            if press is not None:
-                found += 1
-                best = max(best, press.score)
-                yield press
+        found = [press for press in (wanted(seen, spot) for spot in seen.spots(around)) if press is not None]
         if not found:
-            failures.append(f"face {face.name!r}: no tool fits above it")
+            sharp = (
+                f"it bends with a radius of {seen.fold:.3g} mm" if seen.fold < 0.1 * seen.size else "it is too narrow"
+            )
+            failures.append(f"face {face.name!r}: {sharp}")
+        best = max([best, *(press.score for press in found)])
+        yield from found
 
 
 def _promise(face: Face, samples: FaceSamples | None) -> float:
-    """The score that a face cannot exceed: its tool is no wider than the face is."""
-    return kind_factor(face) * min(math.sqrt(samples.area), samples.size) if samples else 0.0
+    """The score that a face cannot exceed: a dent is narrower than a quarter of the square with the face's area."""
+    return kind_factor(face) * min(0.25 * math.sqrt(samples.area), samples.size) if samples else 0.0
 
 
 # ------------------------------------------------------------------ as a scene
 
 
-def _confirmed(press: Press, part: Part, path: Path, out: Path) -> NewScene | str:
+def _confirmed(press: Press, shape: str, part: Part, path: Path, out: Path) -> NewScene | str:
     """The scene, once the engine has built it and found the tool outside at first and in the face at last.
 
     Returns what is wrong with this place when another place on the same face may do. Raises CadsculptError when the
@@ -161,14 +165,14 @@ def _confirmed(press: Press, part: Part, path: Path, out: Path) -> NewScene | st
     """
     for attempt in range(4):
         try:
-            scene = SceneFile.of(_values(press, part, path, out), out)
+            scene = SceneFile.of(_values(press, shape, part, path, out), out)
             loaded = load(scene)
             break
         except InputError as error:
             if "thickness" not in error.what or attempt == 3:
                 raise
             press = _thinner(press)
-    fault = _fault(loaded)
+    fault = _fault(loaded, press.depth * conversion("mm", scene.units))
     if fault:
         return fault
     patch = loaded.model.patches[0]
@@ -183,8 +187,8 @@ def _thinner(press: Press) -> Press:
     return replace(press, thickness=thickness, depth=depth, end=press.end + press.depth - depth)
 
 
-def _fault(loaded: Loaded) -> str:
-    """Why the engine cannot take this scene, "" when it can."""
+def _fault(loaded: Loaded, pressed: float) -> str:
+    """Why the engine cannot take this scene, "" when it can. pressed : depth of the press, in the scene's unit."""
     from ..run import refuse_tools_inside
     from ..session import Session
 
@@ -196,11 +200,10 @@ def _fault(loaded: Loaded) -> str:
     path = loaded.model.tools[0].path
     contacts = session.detect([path.pose(float(path.t[1]))]).contacts
     depth = float(contacts.depth.max(initial=0.0))
-    pressed = float(np.linalg.norm(path.at[1] - path.at[0]))
-    return "" if depth > 0.1 * pressed else "the tool does not reach it"
+    return "" if depth > 0.3 * pressed else "the tool does not reach it"
 
 
-def _values(press: Press, part: Part, path: Path, out: Path) -> dict[str, Any]:
+def _values(press: Press, shape: str, part: Part, path: Path, out: Path) -> dict[str, Any]:
     """The scene's values, lengths in the file's unit."""
     units = part.units or "mm"
     factor = conversion("mm", units)
@@ -216,12 +219,12 @@ def _values(press: Press, part: Part, path: Path, out: Path) -> dict[str, Any]:
 
     times = _times(press, metres_per_unit("mm"))
     heights = (press.start, press.end, press.end, press.start)
-    turn = _turn(spot.normal) if press.shape != "sphere" else None
+    turn = _turn(spot.normal) if shape != "sphere" else None
     rows = [{"t": t, "at": height(h), **({"turn": turn} if turn else {})} for t, h in zip(times, heights, strict=True)]
     usable = face.name.isprintable() and face.name == face.name.strip() and face.name != ""
     sizes = {
         key: [length(item) for item in value] if isinstance(value, list) else length(value)
-        for key, value in sizes_of(press.shape, press.scale).items()
+        for key, value in sizes_of(shape, press.scale).items()
     }
     own = {"step": ["step", "json"], "iges": ["iges", "json"], "3dm": ["3dm", "step", "json"]}
     return {
@@ -240,7 +243,7 @@ def _values(press: Press, part: Part, path: Path, out: Path) -> dict[str, Any]:
                 "material": MATERIAL,
             }
         ],
-        "tool": [{"name": press.shape, "shape": press.shape, **sizes, "path": rows}],
+        "tool": [{"name": shape, "shape": shape, **sizes, "path": rows}],
         "solver": {"step": "auto", "resolution": _resolution(press)},
         "output": {"cad": own.get(part.format, ["json"]), "frames_per_second": significant(40.0 / times[-1], 2)},
     }

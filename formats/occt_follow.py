@@ -42,11 +42,30 @@ CURVE_TOLERANCE = 2e-8
 """Distance, mm, within which a rebuilt edge runs on its surface."""
 
 
-def follow(part: OcctPart, faces: Sequence[OcctFace]) -> None:
+class Gaps:
+    """How far the curves of edges lie apart, by edge, wherever it is placed."""
+
+    def __init__(self, faces: Sequence[OcctFace]) -> None:
+        self._edges = IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher()
+        self._gaps: list[float] = []
+        for face in faces:
+            for edge in edges_of(face.shape):
+                bare = edge.Located(TopLoc_Location())
+                if not self._edges.Contains(bare):
+                    self._edges.Add(bare)
+                    self._gaps.append(edge_gap(edge))
+
+    def of(self, edge: TopoDS_Edge) -> float:
+        """The gap of an edge, 0 when it is not known."""
+        place = self._edges.FindIndex(edge.Located(TopLoc_Location()))
+        return self._gaps[place - 1] if place else 0.0
+
+
+def follow(part: OcctPart, faces: Sequence[OcctFace], before: Gaps) -> None:
     """Rebuild the edges that the surfaces of these faces have left, move their vertices, raise tolerances where needed.
 
-    An edge that a face outside `faces` holds as well stays on that face; its tolerance covers the gap and the part's
-    warnings say so.
+    before : the gaps as they were; an edge whose curves are no farther apart than that did not move. An edge that a face
+    outside `faces` holds as well stays on that face; its tolerance covers the gap and the part's warnings say so.
     """
     surfaces = [placement(face.shape)[0] for face in faces]
     numbers = {face.number for face in faces}
@@ -61,7 +80,7 @@ def follow(part: OcctPart, faces: Sequence[OcctFace]) -> None:
             seen.Add(bare)
             edges.append(edge)
             gap = edge_gap(edge)
-            if gap <= max(CONFUSION, BRep_Tool.Tolerance_s(edge)):
+            if gap <= max(CONFUSION, BRep_Tool.Tolerance_s(edge), before.of(edge) + CONFUSION):
                 continue
             held = [n for n in part.faces_on(edge) if n not in numbers and not _twin(part, n, faces)]
             if held:

@@ -24,7 +24,7 @@ from ..spline.surface import BSplineSurface
 from .occt_arrays import from_integers, from_reals, integers, knots_and_multiplicities, reals
 from .occt_boundary import pcurve, placement
 from .occt_face import TRIM_TOLERANCE, OcctFace, parameter_scale, periodic_window
-from .occt_follow import follow
+from .occt_follow import Gaps, follow
 from .occt_shape import geom_of_surface, periodic_knots, surface_of_geom, transformed, unrolled_knots
 from .occt_tolerance import FORWARD, REVERSED, edges_of
 from .occt_trim import carried_trim, geom_of_trim
@@ -55,6 +55,7 @@ def sculpt(part: OcctPart, surfaces: Mapping[int, BSplineSurface]) -> None:
         if twins:
             others = ", ".join(map(str, twins[:6])) + (", ..." if len(twins) > 6 else "")
             part.warnings.append(f"face {number} is placed several times: its new shape shows in face {others} as well")
+    before = Gaps([faces[number] for number in chosen])
     for number in chosen:
         face, surface = faces[number], surfaces[number]
         geom = geoms[number - 1]
@@ -70,7 +71,7 @@ def sculpt(part: OcctPart, surfaces: Mapping[int, BSplineSurface]) -> None:
         BRepTools.Clean_s(face.shape)
     for face in every:
         face.forget()
-    follow(part, [faces[number] for number in chosen])
+    follow(part, [faces[number] for number in chosen], before)
 
 
 # ------------------------------------------------------------------------ checks

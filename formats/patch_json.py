@@ -2,9 +2,11 @@
 
     {"format": "cadsculpt-patches", "version": 1, "units": "mm",
      "surfaces": [{"name": ..., "degree_u": 3, "degree_v": 3, "knots_u": [...], "knots_v": [...],
-                   "control_points": [[[x, y, z], ...v], ...u], "weights": [[...]], "periodic_u": false, "periodic_v": false,
-                   "outward": true, "trims": [{"outer": true, "curves": [{"degree": 1, "knots": [...],
-                   "control_points": [[u, v], ...], "weights": [...]}]}], "source": {"file": ..., "entity": ...}}]}
+                   "control_points": [[[x, y, z], ...v], ...u], "weights": [[...]],
+                   "periodic_u": false, "periodic_v": false, "outward": true,
+                   "trims": [{"outer": true, "curves": [{"degree": 1, "knots": [...],
+                              "control_points": [[u, v], ...], "weights": [...]}]}],
+                   "source": {"file": ..., "entity": ...}}]}
 
 A JSON file of NURBS-Python (geomdl) is read through `geomdl_json`.
 """

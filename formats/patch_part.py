@@ -55,6 +55,15 @@ class PatchFace(Face):
         ]
 
 
+def check_sculpted(surface: BSplineSurface, read: BSplineSurface, where: str) -> None:
+    """Raise GeometryError when `surface` cannot take the place of a face's surface `read`."""
+    if (surface.degree_u, surface.degree_v) != (read.degree_u, read.degree_v) or surface.domain != read.domain:
+        raise GeometryError(
+            f"the sculpted surface of face {read.name} has other degrees or another parameter range", where=where
+        )
+    surface.validate()
+
+
 class PatchPart(Part):
     """Surfaces without topology. `surfaces` are the faces' surfaces in mm; edges are joined where they run together."""
 
@@ -79,13 +88,7 @@ class PatchPart(Part):
 
     def sculpt(self, surfaces: Mapping[int, BSplineSurface]) -> None:
         for number, surface in surfaces.items():
-            read = self.faces.number(number).surface
-            if (surface.degree_u, surface.degree_v) != (read.degree_u, read.degree_v) or surface.domain != read.domain:
-                raise GeometryError(
-                    f"the sculpted surface of face {read.name} has other degrees or another parameter range than the face",
-                    where=str(self.path),
-                )
-            surface.validate()
+            check_sculpted(surface, self.faces.number(number).surface, str(self.path))
         for number, surface in surfaces.items():
             read = self._read[number - 1]
             self.surfaces[number - 1] = replace(

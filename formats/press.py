@@ -31,6 +31,8 @@ DEEP = 0.05
 """How deep the tool presses, as a fraction of the face's size."""
 
 LAYERS = (2, 5)
+FLATTEST = 10.0
+"""A cell is at most this many times wider than it is high."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +44,6 @@ class Press:
 
     survey: FaceSurvey
     spot: Spot
-    shape: str
     scale: float
     depth: float
     start: float
@@ -61,26 +62,39 @@ class Press:
         return math.sqrt(max(2.0 * self.scale * self.depth - self.depth**2, 0.0))
 
 
-def press_at(seen: FaceSurvey, spot: Spot, shape: str, around: Array) -> Press | None:
-    """The largest tool, and the deepest press, that a spot takes; None when nothing sensible fits."""
+def wanted(seen: FaceSurvey, spot: Spot) -> Press | None:
+    """The tool and the press that a spot takes, not placed yet (start and end are 0).
+
+    None where nothing can be pressed, or where the lattice would have to be so thin that its cells are mere flakes.
+    """
     scale = min(0.4 * spot.room, 0.7 * spot.free_radius)
     depth = min(DEEP * min(seen.size, 3.0 * spot.room), 0.45 * scale, 0.3 * seen.fold)
     if not depth > 0.0:
         return None
     thickness = min(2.2 * depth, 0.65 * seen.fold)
+    sized = Press(seen, spot, scale, depth, 0.0, 0.0, thickness, 1.0, 0.0)
+    spacing = _spacing(seen, sized.half_width)
+    if spacing > FLATTEST * thickness / LAYERS[0]:
+        return None
+    return replace(sized, spacing=spacing, score=_score(seen, sized, spacing))
+
+
+def placed(press: Press, shape: str, around: Array) -> Press | None:
+    """The press with a tool of this shape just above its spot, smaller if need be; None where none fits.
+
+    around (k, 3) : points of the whole part, that the tool must not touch where its path begins.
+    """
+    seen, spot, scale, depth = press.survey, press.spot, press.scale, press.depth
     points = np.concatenate([around, seen.points[seen.room > 0.0], seen.near(spot, 3.0 * scale)])
     for _ in range(12):
-        touch = touch_height(tool_of(shape, scale), spot, points)
+        tool = tool_of(shape, scale)
+        touch = touch_height(tool, spot, points)
         start = touch + 0.2 * scale
-        if clearance(tool_of(shape, scale), spot, start, points) >= 0.05 * scale:
-            break
+        if clearance(tool, spot, start, points) >= 0.05 * scale:
+            return replace(press, scale=scale, depth=depth, start=start, end=touch - depth)
         scale *= 0.8
         depth = min(depth, 0.45 * scale)
-    else:
-        return None
-    sized = Press(seen, spot, shape, scale, depth, start, touch - depth, thickness, 1.0, 0.0)
-    spacing = _spacing(seen, sized.half_width)
-    return replace(sized, spacing=spacing, score=_score(seen, sized, spacing))
+    return None
 
 
 def _spacing(seen: FaceSurvey, half_width: float) -> float:

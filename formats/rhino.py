@@ -1,4 +1,4 @@
-"""Rhino's 3DM files, all versions: Breps, surfaces and extrusions, in blocks too, sculpted back into the very same file."""
+"""Rhino's 3DM files, all versions: Breps, surfaces and extrusions, in blocks too, sculpted back into the same file."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from ..errors import GeometryError, InputError
 from ..spline.surface import BSplineSurface
 from ..units import METRES_PER_UNIT
 from .part import Face, FaceEdge, Faces, Part, Validity
+from .patch_part import check_sculpted
 from .rhino_archive import archive_version, check_archive, object_records
 from .rhino_body import Body, Place
+from .rhino_geometry import library
 
 if TYPE_CHECKING:
     from .rhino_shape import BodyShape
@@ -39,6 +41,7 @@ class RhinoFace(Face):
 
     def __init__(self, part: RhinoPart, body: Body, index: int, name: str) -> None:
         self._part, self._body, self._index = part, body, index
+        self._edges: tuple[BSplineSurface, Sequence[FaceEdge]] | None = None
         self.number = body.first + index
         self.name = name
         self.warning = body.fault(index)
@@ -68,7 +71,12 @@ class RhinoFace(Face):
 
     @property
     def edges(self) -> Sequence[FaceEdge]:
-        return () if self.warning else self._body.face_edges(self._index)
+        if self.warning:
+            return ()
+        surface = self._body.surface(self._index)
+        if self._edges is None or self._edges[0] is not surface:
+            self._edges = surface, self._body.face_edges(self._index)
+        return self._edges[1]
 
 
 class RhinoPart(Part):
@@ -201,13 +209,7 @@ class RhinoPart(Part):
                     where=str(self.path),
                     mend="explode the block in Rhino: sculpting one place would change all",
                 )
-            read = face.surface
-            if (surface.degree_u, surface.degree_v) != (read.degree_u, read.degree_v) or surface.domain != read.domain:
-                raise GeometryError(
-                    f"the sculpted surface of face {face.name} has other degrees or another parameter range than the face",
-                    where=str(self.path),
-                )
-            surface.validate()
+            check_sculpted(surface, face.surface, str(self.path))
             own = body.read_surface(number - body.first)
             sculpted = replace(surface, trims=own.trims, outward=own.outward, name=own.name, provenance=own.provenance)
             chosen.append((body, number - body.first, sculpted))
@@ -284,7 +286,9 @@ class RhinoPart(Part):
                 [(body.place.name, shape.shape) for body, shape in made if shape.faces],
                 self.units,
                 faces=[
-                    (self.faces.number(body.first + i).name, face) for body, shape in made for i, face in shape.faces.items()
+                    (self.faces.number(body.first + i).name, face)
+                    for body, shape in made
+                    for i, face in shape.faces.items()
                 ],
                 path=self.path,
                 format=format,
@@ -301,8 +305,6 @@ def read(path: Path) -> RhinoPart:
 
     Raises InputError when it is missing, empty, cut short or otherwise damaged, or not a 3DM file at all.
     """
-    import rhino3dm
-
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -312,7 +314,7 @@ def read(path: Path) -> RhinoPart:
         raise InputError("the file is empty", where=str(path))
     try:
         check_archive(data)
-        model = rhino3dm.File3dm.FromByteArray(data)
+        model = library().File3dm.FromByteArray(data)
         if model is None:
             raise InputError("openNURBS cannot read it", mend="the file is damaged: open it in Rhino and save it again")
         return RhinoPart(path, data, model)
@@ -324,8 +326,7 @@ def read(path: Path) -> RhinoPart:
 
 def _brep_of(geometry: Any) -> tuple[str, Any] | None:
     """(brep, surface or extrusion, rhino3dm's Brep of it); None for what has no surfaces."""
-    import rhino3dm
-
+    rhino3dm = library()
     name = type(geometry).__name__
     if name == "Brep":
         return "brep", geometry

@@ -1,9 +1,9 @@
 """The chunks of a 3DM archive: reading them, writing them, and changing one object of a file and nothing else.
 
 A 3DM file is a 32-byte header with the archive version, then a tree of chunks: a typecode, a length (4 bytes up to
-version 4, 8 bytes from version 50 on), a body, and, where the typecode says so, a CRC-32 of those bytes of the body that
-stand in no chunk inside it. A typecode with the top bit set carries a value in place of a length and has no body. Layout
-after the public openNURBS sources (opennurbs_3dm.h, opennurbs_archive.cpp).
+version 4, 8 bytes from version 50 on), a body, and, where the typecode says so, a CRC-32 of those bytes of the body
+that stand in no chunk inside it. A typecode with the top bit set carries a value in place of a length and has no body.
+Layout after the public openNURBS sources (opennurbs_3dm.h, opennurbs_archive.cpp).
 """
 
 from __future__ import annotations
@@ -40,8 +40,6 @@ CLASS_DATA = 0x0002FFFC
 CLASS_END = 0x80027FFF
 END_OF_FILE = 0x00007FFF
 
-NURBS_SURFACE = uuid.UUID("4ED7D4DE-E947-11d3-BFE5-0010830122F0")
-NURBS_CURVE = uuid.UUID("4ED7D4DD-E947-11d3-BFE5-0010830122F0")
 BREP = uuid.UUID("60B5DBC5-E660-11d3-BFE4-0010830122F0")
 BREP_OBJECT_TYPE = 0x10
 SURFACE_OBJECT_TYPE = 0x8
@@ -50,7 +48,7 @@ EXTRUSION_OBJECT_TYPE = 0x40000000
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """One chunk of `data`: its header at `start`, its body from `body` to `end` (the CRC, when it has one, included)."""
+    """One chunk of `data`: its header at `start`, its body from `body` to `end` (with the CRC, when it has one)."""
 
     typecode: int
     value: int
@@ -139,7 +137,8 @@ class Writer:
     def array(self, values: tuple[int, ...]) -> None:
         self.integers(len(values), *values)
 
-    def bytes(self) -> bytes:
+    def finished(self) -> bytes:
+        """The chunks written so far, all ended."""
         return bytes(self._open[-1][1])
 
     def _length(self, value: int) -> bytes:
@@ -211,21 +210,21 @@ def class_record(data: bytes, position: int, end: int, version: int) -> ClassRec
 def class_chunk(class_id: uuid.UUID, body: Writer, after: bytes = b"") -> bytes:
     """A TCODE_OPENNURBS_CLASS chunk around an object's data.
 
-    `body` holds one finished TCODE_OPENNURBS_CLASS_DATA chunk; `after` are the chunks behind it in the object that it takes
-    the place of: user data and the end mark.
+    `body` holds one finished TCODE_OPENNURBS_CLASS_DATA chunk; `after` are the chunks behind it in the object that it
+    takes the place of: user data and the end mark.
     """
     writer = Writer(body.version)
     writer.begin(CLASS)
     writer.begin(CLASS_UUID)
     writer.raw(class_id.bytes_le)
     writer.end()
-    writer.whole(body.bytes())
+    writer.whole(body.finished())
     if after:
         writer.whole(after)
     else:
         writer.short(CLASS_END)
     writer.end()
-    return writer.bytes()
+    return writer.finished()
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,7 +301,7 @@ def replace_objects(data: bytes, objects: dict[int, tuple[int | None, bytes]]) -
                 else:
                     writer.whole(data[entry.start : entry.end])
             writer.end()
-            out += writer.bytes()
+            out += writer.finished()
         elif table.typecode == END_OF_FILE:
             size = length_size(version)
             total = len(out) + 4 + 2 * size
@@ -325,84 +324,4 @@ def _with_object(data: bytes, place: ObjectRecord, kind: int | None, new: bytes,
     writer.whole(new)
     writer.whole(data[place.record.chunk.end : place.chunk.end - 4])
     writer.end()
-    return writer.bytes()
-
-
-# ----------------------------------------------------------------------- nurbs
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Nurbs:
-    """A NURBS curve or surface as the archive has it: homogeneous control points, n + degree - 1 knots a direction.
-
-    dimension is that of the space (2 for trim curves); points (n, ...) or (r, s, ...) with the weight last when rational.
-    """
-
-    dimension: int
-    rational: bool
-    degrees: tuple[int, ...]
-    knots: tuple[Array, ...]
-    points: Array
-
-    def padded_knots(self, axis: int) -> Array:
-        """The usual n + degree + 1 knots. The two that openNURBS leaves out have no influence inside the domain."""
-        knots, degree = self.knots[axis], self.degrees[axis]
-        low, high = knots[0], knots[-1]
-        period = knots[-degree] - knots[degree - 1]
-        if degree > 1 and low < knots[degree - 1] and high > knots[-degree]:
-            low, high = knots[-2 * degree] - period, knots[2 * degree - 1] + period
-            low, high = min(low, knots[0]), max(high, knots[-1])
-        return np.concatenate([[low], knots, [high]])
-
-    def control_points(self) -> Array:
-        """Euclidean control points (..., dimension)."""
-        return self.points[..., :-1] / self.points[..., -1:] if self.rational else self.points
-
-    def weights(self) -> Array | None:
-        return np.ascontiguousarray(self.points[..., -1]) if self.rational else None
-
-
-def read_nurbs(reader: Reader, directions: int) -> Nurbs:
-    """ON_NurbsCurve (1 direction) or ON_NurbsSurface (2) from the start of its class data."""
-    if reader.byte() >> 4 != 1:
-        raise InputError("a NURBS object of an unknown version", mend="save the file as an earlier 3DM version")
-    dimension, rational = reader.integers(2)
-    orders = reader.integers(directions)
-    counts = reader.integers(directions)
-    reader.raw(8 + 48)
-    knots = tuple(reader.reals(reader.integer()) for _ in range(directions))
-    size = dimension + bool(rational)
-    total = reader.integer()
-    if total != int(np.prod(counts)) or any(
-        len(k) != n + order - 2 for k, n, order in zip(knots, counts, orders, strict=True)
-    ):
-        raise InputError("a NURBS object with the wrong number of knots or control points", mend="the file is damaged")
-    points = reader.reals(total * size).reshape(*counts, size)
-    return Nurbs(dimension, bool(rational), tuple(order - 1 for order in orders), knots, points)
-
-
-def nurbs_chunk(nurbs: Nurbs, version: int, after: bytes = b"") -> bytes:
-    """The TCODE_OPENNURBS_CLASS chunk of an ON_NurbsCurve or ON_NurbsSurface; `after` as in `class_chunk`."""
-    body = Writer(version)
-    body.begin(CLASS_DATA)
-    curve = len(nurbs.degrees) == 1
-    friendly = curve and version >= 60
-    body.raw(b"\x11" if friendly else b"\x10")
-    body.integers(nurbs.dimension, int(nurbs.rational))
-    body.integers(*(degree + 1 for degree in nurbs.degrees))
-    body.integers(*nurbs.points.shape[:-1])
-    body.integers(0, 0)
-    body.reals(np.array(_EMPTY_BOX))
-    for knots in nurbs.knots:
-        body.integers(len(knots))
-        body.reals(knots)
-    body.integers(int(np.prod(nurbs.points.shape[:-1])))
-    body.reals(nurbs.points)
-    if friendly:
-        body.raw(b"\x00")
-    body.end()
-    return class_chunk(NURBS_CURVE if curve else NURBS_SURFACE, body, after)
-
-
-_EMPTY_BOX = (1.0, 0.0, 0.0, -1.0, 0.0, 0.0)
-"""How openNURBS writes the bounding box that nobody has computed."""
+    return writer.finished()

@@ -13,9 +13,10 @@ from ..errors import CadsculptError, InputError
 from ..spline.surface import BSplineSurface, Provenance, TrimCurve, TrimLoop
 from .occt_trim import reversed_trim
 from .part import FaceEdge
-from .rhino_archive import BUFFER_VERSION, Nurbs
+from .rhino_archive import BUFFER_VERSION
 from .rhino_brep import BOUNDARY_ISO, OUTER_LOOP, SEAM, SINGULAR, Brep, Trim, read_brep
 from .rhino_geometry import SurfaceForm, curve_of, encoded, moved, part_of_curve, surface_form, surface_of, trim_curve
+from .rhino_nurbs import Nurbs
 
 Array = NDArray[np.float64]
 

@@ -1,14 +1,17 @@
 """openNURBS' boundary representation (ON_Brep), read from an archive, changed in places, and written back.
 
 Only what is changed is written anew: curves, surfaces and meshes that stay are kept as the bytes they were, so that a
-Brep that nobody touched is written back byte for byte. Layout after the public openNURBS sources (opennurbs_brep_io.cpp).
+Brep that nobody touched is written back byte for byte. Layout after the public openNURBS sources
+(opennurbs_brep_io.cpp).
 """
 
 from __future__ import annotations
 
 import struct
 import uuid
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +20,7 @@ from ..errors import InputError
 from .rhino_archive import ANONYMOUS, BREP, CLASS_DATA, Reader, Writer, class_chunk, class_record
 
 Array = NDArray[np.float64]
+R = TypeVar("R")
 
 OUTER_LOOP = 1
 SEAM, SINGULAR = 3, 4
@@ -51,8 +55,8 @@ class Edge:
 class Trim:
     """curve2 is the place in `Brep.curves2`; the trim runs over `proxy` of it, backwards when `backward`.
 
-    `reversed` tells that the loop runs against the edge there. `rest` are the bytes after the tolerances: the trim's own
-    domain and direction (archives since June 2002) and tolerances of older versions.
+    `reversed` tells that the loop runs against the edge there. `rest` are the bytes after the tolerances: the trim's
+    own domain and direction (archives since June 2002) and tolerances of older versions.
     """
 
     index: int
@@ -93,8 +97,9 @@ class BrepFace:
 class Brep:
     """An ON_Brep. curves2, curves3, surfaces and the meshes hold whole TCODE_OPENNURBS_CLASS chunks, or None.
 
-    `version` is the archive's, `minor` the Brep chunk's 3.minor. box is the bounding box (6,). `faces_rest` are the bytes
-    after the faces' records (identities, colours), `solid` the solid flag and `region` the region topology, as they were.
+    `version` is the archive's, `minor` the Brep chunk's 3.minor. box is the bounding box (6,). `faces_rest` are the
+    bytes after the faces' records (identities, colours), `solid` the solid flag and `region` the region topology, as
+    they were.
     """
 
     version: int
@@ -140,20 +145,35 @@ def _read(data: bytes, position: int, end: int, version: int, with_domains: bool
     """`with_domains`: edges carry their own domain (archives since June 2002)."""
     reader = Reader(data, position, end, version)
     minor = reader.byte() & 15
-    geometry = [_objects(reader) for _ in range(3)]
+    curves2, curves3, surfaces = _objects(reader), _objects(reader), _objects(reader)
     vertices, _, _ = _records(reader, _vertex)
     edges, _, _ = _records(reader, _edge if with_domains else _short_edge)
     trims, _, _ = _records(reader, _trim)
     loops, _, _ = _records(reader, _loop)
-    faces, faces_minor, faces_rest = _records(reader, _face)
+    faces, faces_minor, faces_rest = _records(reader, _face, rest_allowed=True)
     box = tuple(reader.reals(6).tolist())
-    meshes = [_meshes(reader, len(faces)) if minor >= 1 else (None,) * len(faces) for _ in range(2)]
+    render, analysis = (_meshes(reader, len(faces)) if minor >= 1 else (None,) * len(faces) for _ in range(2))
     solid = reader.raw(4) if minor >= 2 else b""
     region = reader.raw(reader.end - reader.position)
     return Brep(
-        version, minor, *geometry, vertices, edges, trims, loops, faces, faces_minor, faces_rest, box,
-        *meshes, solid, region,
-    )  # fmt: skip
+        version=version,
+        minor=minor,
+        curves2=curves2,
+        curves3=curves3,
+        surfaces=surfaces,
+        vertices=vertices,
+        edges=edges,
+        trims=trims,
+        loops=loops,
+        faces=faces,
+        faces_minor=faces_minor,
+        faces_rest=faces_rest,
+        box=box,
+        render_meshes=render,
+        analysis_meshes=analysis,
+        solid=solid,
+        region=region,
+    )
 
 
 def _anonymous(reader: Reader) -> Reader:
@@ -178,7 +198,9 @@ def _objects(reader: Reader) -> tuple[bytes | None, ...]:
     return tuple(found)
 
 
-def _records(reader: Reader, read) -> tuple:  # type: ignore[no-untyped-def, type-arg]
+def _records(
+    reader: Reader, read: Callable[[Reader], R], rest_allowed: bool = False
+) -> tuple[tuple[R, ...], int, bytes]:
     """The records of a topology array, its minor version, and the bytes after the records."""
     inner = _anonymous(reader)
     layout = inner.byte()
@@ -186,7 +208,7 @@ def _records(reader: Reader, read) -> tuple:  # type: ignore[no-untyped-def, typ
         raise InputError("a Brep with an unknown kind of array")
     found = tuple(read(inner) for _ in range(inner.integer()))
     rest = inner.raw(inner.end - inner.position)
-    if rest and read is not _face:
+    if rest and not rest_allowed:
         raise InputError("a Brep's records are longer than they should be")
     return found, layout & 15, rest
 
@@ -275,18 +297,10 @@ def brep_chunk(brep: Brep, after: bytes = b"", class_id: uuid.UUID = BREP) -> by
             if item is not None:
                 writer.whole(item)
         writer.end()
-    for records, write in (
-        (brep.vertices, _write_vertex),
-        (brep.edges, _write_edge),
-        (brep.trims, _write_trim),
-        (brep.loops, _write_loop),
-    ):
-        writer.begin(ANONYMOUS)
-        writer.raw(b"\x10")
-        writer.integers(len(records))  # type: ignore[arg-type]
-        for record in records:  # type: ignore[attr-defined]
-            write(writer, record)
-        writer.end()
+    _write_records(writer, brep.vertices, _write_vertex)
+    _write_records(writer, brep.edges, _write_edge)
+    _write_records(writer, brep.trims, _write_trim)
+    _write_records(writer, brep.loops, _write_loop)
     writer.begin(ANONYMOUS)
     writer.raw(bytes([0x10 | brep.faces_minor]))
     writer.integers(len(brep.faces))
@@ -310,6 +324,15 @@ def brep_chunk(brep: Brep, after: bytes = b"", class_id: uuid.UUID = BREP) -> by
         writer.whole(brep.region)
     writer.end()
     return class_chunk(class_id, writer, after)
+
+
+def _write_records(writer: Writer, records: Sequence[R], write: Callable[[Writer, R], None]) -> None:
+    writer.begin(ANONYMOUS)
+    writer.raw(b"\x10")
+    writer.integers(len(records))
+    for record in records:
+        write(writer, record)
+    writer.end()
 
 
 def _write_vertex(writer: Writer, vertex: Vertex) -> None:

@@ -1,7 +1,7 @@
 """What follows when faces of a Brep are sculpted: the 3D curves of the edges that moved, and their vertices.
 
-An edge follows when all its faces were sculpted: the surface carries its trim curve along. An edge shared with a face that
-stays is left where it is; how far the sculpted face leaves it is said.
+An edge follows when all its faces were sculpted: the surface carries its trim curve along. An edge shared with a face
+that stays is left where it is; how far the sculpted face leaves it is said.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from ..spline.matrices import span_parameters
 from ..spline.surface import TrimCurve
 from .loose_edges import distance_to_chain
 from .occt_trim import evaluate_trim, trim_domain
-from .rhino_archive import Nurbs
 from .rhino_body import Body
 from .rhino_brep import SINGULAR
 from .rhino_geometry import curve_points
+from .rhino_nurbs import Nurbs
 
 Array = NDArray[np.float64]
 
@@ -81,11 +81,12 @@ def _samples(trim: TrimCurve) -> Array:
 
 
 def _dense(curve: Nurbs) -> Array:
-    return span_parameters(curve.padded_knots(0), curve.degrees[0], 64)[0]
+    parameters, _ = span_parameters(curve.padded_knots(0), curve.degrees[0], 64)
+    return parameters
 
 
 def _edge_on(body: Body, edge: int, trim: int) -> tuple[Nurbs, float]:
-    """The 3D curve of an edge over one of its trims, in the edge's direction and domain, and its distance from the surface."""
+    """The 3D curve of an edge over one of its trims, in the edge's direction and domain, and its gap."""
     from .occt_curve import curve_net, curve_on_surface
     from .occt_shape import geom_of_surface
     from .occt_trim import geom_of_trim
@@ -107,7 +108,7 @@ def _edge_on(body: Body, edge: int, trim: int) -> tuple[Nurbs, float]:
 def stretched(knots: Array, low: float, high: float) -> Array:
     """A clamped knot vector run over [low, high], its ends exact."""
     first, last = knots[0], knots[-1]
-    out = low + (knots - first) * ((high - low) / (last - first))
+    out: Array = low + (knots - first) * ((high - low) / (last - first))
     out[knots == first], out[knots == last] = low, high
     return out
 

@@ -1,13 +1,14 @@
 """openNURBS geometry to B-spline surfaces and trim curves, and back.
 
-Surfaces that are no NURBS (planes, revolutions, sums) are converted by openNURBS itself. On some of them the NURBS form runs at
-another pace than the surface (an angle against a rational parameter); trim curves are carried over to the NURBS form's
-parameters: exactly where they are straight along a parameter line, else by a spline within 1e-10 of the range.
+Surfaces that are no NURBS (planes, revolutions, sums) are converted by openNURBS itself. On some of them the NURBS form
+runs at another pace than the surface (an angle against a rational parameter); trim curves are carried over to the NURBS
+form's parameters: exactly where they are straight along a parameter line, else by a spline within 1e-10 of the range.
 """
 
 from __future__ import annotations
 
 import base64
+import importlib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +19,8 @@ from ..errors import InputError
 from ..spline.matrices import design_matrix
 from ..spline.surface import BSplineSurface, Provenance, TrimCurve, TrimLoop
 from .curve_fit import fit_curve
-from .rhino_archive import BUFFER_VERSION, NURBS_CURVE, Nurbs, Reader, class_record, read_nurbs
+from .rhino_archive import BUFFER_VERSION, Reader, class_record
+from .rhino_nurbs import NURBS_CURVE, Nurbs, read_nurbs
 
 Array = NDArray[np.float64]
 
@@ -29,6 +31,11 @@ MAP_TOLERANCE = 1e-10
 # --------------------------------------------------------------------- objects
 
 
+def library() -> Any:
+    """rhino3dm, loaded when it is needed. Untyped: its stubs leave out half of what it has."""
+    return importlib.import_module("rhino3dm")
+
+
 def encoded(thing: Any) -> bytes:
     """The TCODE_OPENNURBS_CLASS chunk of a rhino3dm object, in a version 60 archive."""
     return base64.b64decode(thing.Encode()["data"])
@@ -36,8 +43,7 @@ def encoded(thing: Any) -> bytes:
 
 def decoded(chunk: bytes) -> Any:
     """The rhino3dm object of such a chunk; None when rhino3dm cannot make one of it."""
-    import rhino3dm
-
+    rhino3dm = library()
     form = rhino3dm.Point(rhino3dm.Point3d(0.0, 0.0, 0.0)).Encode()
     form["data"] = base64.b64encode(chunk).decode()
     return rhino3dm.CommonObject.Decode(form)
@@ -91,7 +97,7 @@ def clamped_surface(surface: Nurbs) -> Nurbs:
 
 
 def _clamped_rows(points: Array, knots: Array, degree: int) -> tuple[Array, Array]:
-    """Knot insertion at both ends of the domain, and what lies outside it cut off. points (n, d), knots (n + degree + 1,)."""
+    """Knots inserted at the domain's ends, and what lies outside cut off. points (n, d), knots (n + degree + 1,)."""
     ends = knots[degree], knots[-degree - 1]
     if knots[1] == ends[0] and knots[-2] == ends[1]:
         return points, knots
@@ -116,8 +122,8 @@ def _clamped_rows(points: Array, knots: Array, degree: int) -> tuple[Array, Arra
 class ParameterMap:
     """From a surface's own parameters to those of its NURBS form: u and v apart, each monotone.
 
-    `kinks` are the inner knots (u, v) of the NURBS form in the surface's own parameters, where the map has kinks. A direction
-    that both share has none and keeps its parameters bit for bit.
+    `kinks` are the inner knots (u, v) of the NURBS form in the surface's own parameters, where the map has kinks. A
+    direction that both share has none and keeps its parameters bit for bit.
     """
 
     thing: Any
@@ -137,7 +143,7 @@ class ParameterMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceForm:
-    """A surface of the archive: its NURBS form, what kind it is, and the map to its parameters (None: they are its own)."""
+    """A surface of the archive: its NURBS form, its kind, and the map to its parameters (None: the same)."""
 
     nurbs: Nurbs
     kind: str
@@ -197,7 +203,7 @@ def kind_of(thing: Any) -> str:
 
 
 def periodic_flag(points: Array, knots: Array, degree: int) -> bool:
-    """Whether a direction (axis 0 of `points`) is stored unrolled: the last `degree` rows repeat the first, knots likewise."""
+    """Whether a direction (axis 0 of `points`) is stored unrolled: the last `degree` rows are the first ones."""
     count = len(points) - degree
     low, high = knots[degree], knots[-degree - 1]
     if degree < 2 or count < degree or not (knots[0] < low and knots[-1] > high):
@@ -252,9 +258,10 @@ def nurbs_of_surface(
 ) -> Nurbs:
     """What the archive holds for a surface in mm: the inverse of `surface_of`.
 
-    `was` is the surface in mm that was read from `before`: control points that are still the same keep the archive's bits.
+    `was` is the surface in mm that was read from `before`: control points that are still the same keep the archive's
+    bits.
     """
-    points = moved(surface.control_points / scale, None if placement is None else np.linalg.inv(placement))
+    points = moved(surface.control_points / scale, inverse(placement))
     if before.rational:
         weights = np.ones(surface.shape) if surface.weights is None else surface.weights
         if surface.weights is None:
@@ -274,6 +281,11 @@ def nurbs_of_surface(
 def moved(points: Array, placement: Array | None) -> Array:
     """Points (..., 3) under a 4 x 4 placement; untouched without one."""
     return points if placement is None else points @ placement[:3, :3].T + placement[:3, 3]
+
+
+def inverse(placement: Array | None) -> Array | None:
+    """The placement that undoes a placement."""
+    return None if placement is None else np.asarray(np.linalg.inv(placement), dtype=np.float64)
 
 
 # ----------------------------------------------------------------- trim curves

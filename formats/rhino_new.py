@@ -1,4 +1,4 @@
-"""Any part as a new 3DM file: faces that meet become Breps with shared edges, untrimmed surfaces that stand alone stay surfaces."""
+"""Any part as a new 3DM file: faces that meet become Breps with shared edges, lone untrimmed ones surfaces."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ from .occt_quiet import quiet
 from .occt_tolerance import FORWARD, REVERSED
 from .occt_trim import trim_domain
 from .part import Face, Part
-from .rhino_archive import BUFFER_VERSION, HEADER_SIZE, Nurbs, Writer, chunks, length_size, nurbs_chunk
+from .rhino_archive import BUFFER_VERSION, HEADER_SIZE, Writer, chunks, length_size
 from .rhino_brep import OUTER_LOOP, SEAM, SINGULAR, Brep, BrepFace, Edge, Loop, Trim, Vertex, brep_chunk
-from .rhino_geometry import clamped_surface, curve_points, decoded, nurbs_of_trim
+from .rhino_geometry import clamped_surface, curve_points, decoded, library, nurbs_of_trim
+from .rhino_nurbs import Nurbs, nurbs_chunk
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ BOUNDARY, MATED = 1, 2
 INNER_LOOP = 2
 
 ON_LINE = 8.0 * 2.0**-26
-"""A trim curve within this fraction of the range on either side of a parameter line is that line (openNURBS' own bound)."""
+"""A trim curve within this fraction of the range of a parameter line is that line (openNURBS' own bound)."""
 
 MEETING = 0.01
 """Ends of trim curves further apart than this fraction of the range do not make a loop."""
@@ -51,11 +52,10 @@ REVISION_HISTORY = 0x20008021
 def new_file(part: Part) -> bytes:
     """The bytes of a 3DM file, in mm, with all faces of a part; the same part gives the same bytes.
 
-    Faces that openNURBS does not take as a trimmed Brep are written untrimmed, and the part's warnings say which. Raises
-    InputError when the part has no faces.
+    Faces that openNURBS does not take as a trimmed Brep are written untrimmed, and the part's warnings say which.
+    Raises InputError when the part has no faces.
     """
-    import rhino3dm
-
+    rhino3dm = library()
     model = rhino3dm.File3dm()
     model.Settings.ModelUnitSystem = rhino3dm.UnitSystem.Millimeters
     root = uuid.uuid5(uuid.NAMESPACE_OID, "cadsculpt")
@@ -94,7 +94,7 @@ def _without_dates(data: bytes) -> bytes:
                 if entry.typecode != REVISION_HISTORY:
                     writer.whole(data[entry.start : entry.end])
             writer.end()
-            out += writer.bytes()
+            out += writer.finished()
         else:
             out += data[table.start : table.end]
     size = length_size(version)
@@ -320,7 +320,10 @@ class _Builder:
         for i, (corner, tolerance) in enumerate(self._vertices):
             p = BRep_Tool.Pnt_s(corner)
             vertices.append(Vertex(i, (p.X(), p.Y(), p.Z()), tuple(at_vertex[i]), tolerance))
-        trims = [replace(trim, kind=MATED) if trim.kind == BOUNDARY and len(on_edge[trim.edge]) > 1 else trim for trim in self.trims]
+        trims = [
+            replace(trim, kind=MATED) if trim.kind == BOUNDARY and len(on_edge[trim.edge]) > 1 else trim
+            for trim in self.trims
+        ]
         cloud = np.concatenate(self.points)
         count = len(self.faces)
         return Brep(
@@ -347,8 +350,8 @@ class _Builder:
 def _meeting(curves: Sequence[TrimCurve], surface: BSplineSurface) -> list[TrimCurve]:
     """The curves of a loop, those along parameter lines made straight, with their ends moved together.
 
-    openNURBS wants ends to meet within 1e-10. A corner takes the coordinate of a curve that runs along a parameter line,
-    else the middle. Raises InputError when ends lie further apart than MEETING of the range.
+    openNURBS wants ends to meet within 1e-10. A corner takes the coordinate of a curve that runs along a parameter
+    line, else the middle. Raises InputError when ends lie further apart than MEETING of the range.
     """
     straight = [_straight(curve, surface) for curve in curves]
     points = [np.array(curve.control_points) for curve in straight]
@@ -365,7 +368,7 @@ def _meeting(curves: Sequence[TrimCurve], surface: BSplineSurface) -> list[TrimC
 
 
 def _straight(curve: TrimCurve, surface: BSplineSurface) -> TrimCurve:
-    """The curve; the straight line between its ends when it runs along a parameter line, on the domain's side if near."""
+    """The curve, or the straight line between its ends where it runs along a parameter line."""
     points = curve.control_points
     width = np.ptp(points, axis=0)
     for axis, (low, high) in enumerate(surface.domain):

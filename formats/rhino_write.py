@@ -1,8 +1,8 @@
 """Sculpted faces back into the 3DM file they were read from: their objects change, every other byte of the file stays.
 
-Breps since Rhino 3 and surfaces are changed in place, in the file's own archive version. Objects that have no such form (the
-Breps of Rhino 2, extrusions) are written anew as Breps of that archive version by openNURBS. A version 1 file, which
-nothing can write any more, becomes a version 3 file first.
+Breps since Rhino 3 and surfaces are changed in place, in the file's own archive version. Objects that have no such form
+(the Breps of Rhino 2, extrusions) are written anew as Breps of that archive version by openNURBS. A version 1 file,
+which nothing can write any more, becomes a version 3 file first.
 """
 
 from __future__ import annotations
@@ -22,18 +22,17 @@ from ..errors import InputError
 from .rhino_archive import (
     BREP_OBJECT_TYPE,
     SURFACE_OBJECT_TYPE,
-    Nurbs,
     ObjectRecord,
     archive_version,
     chunks,
-    nurbs_chunk,
     object_records,
     replace_objects,
 )
 from .rhino_body import Body
 from .rhino_brep import Brep, brep_chunk, read_brep
 from .rhino_follow import Followed, follow
-from .rhino_geometry import decoded, moved, nurbs_of_surface, nurbs_of_trim
+from .rhino_geometry import decoded, inverse, library, moved, nurbs_of_surface, nurbs_of_trim
+from .rhino_nurbs import Nurbs, nurbs_chunk
 
 Array = NDArray[np.float64]
 
@@ -45,7 +44,7 @@ MESH_CACHE = uuid.UUID("A8130A3E-E4F3-4CB0-BB8A-F10A473912D0")
 
 
 def sculpted_file(data: bytes, bodies: Sequence[Body]) -> bytes:
-    """The file `data` with the sculpted faces of `bodies` in place. Raises InputError when an object cannot be written."""
+    """The file `data` with the sculpted faces of `bodies`. Raises InputError when an object cannot be written."""
     changed = [body for body in bodies if body.sculpted]
     if not changed:
         return data
@@ -61,7 +60,7 @@ def sculpted_file(data: bytes, bodies: Sequence[Body]) -> bytes:
 
 
 def sculpted_brep(body: Body) -> Any:
-    """rhino3dm's Brep of a body as it is now, in the object's own coordinates and unit; None when openNURBS refuses it."""
+    """rhino3dm's Brep of a body as it is now, in the object's own coordinates; None when openNURBS refuses it."""
     if not body.sculpted:
         return body.thing
     return decoded(brep_chunk(changed_brep(body.brep, body, follow(body))))
@@ -92,7 +91,8 @@ def _object(data: bytes, record: ObjectRecord, body: Body, version: int) -> tupl
 
 
 def changed_brep(brep: Brep, body: Body, followed: Followed) -> Brep:
-    """A Brep with the sculpted surfaces of `body`, the edges and vertices that followed, and without their stale meshes.
+    """A Brep with the sculpted surfaces of `body`, the edges and vertices that followed, and without their stale
+    meshes.
 
     `brep` is the body's own, or the same Brep in another archive version: places in its arrays are the same.
     """
@@ -167,8 +167,7 @@ def _net(body: Body, face: int) -> Nurbs:
 
 def _local(points: Array, body: Body) -> Array:
     """Points in mm to the object's own coordinates and unit."""
-    placement = body.place.placement
-    return moved(points / body.place.scale, None if placement is None else np.linalg.inv(placement))
+    return moved(points / body.place.scale, inverse(body.place.placement))
 
 
 def _in_file(curve: Nurbs, body: Body) -> Nurbs:
@@ -180,7 +179,7 @@ def _in_file(curve: Nurbs, body: Body) -> Nurbs:
 
 
 def _box(brep: Brep, body: Body) -> tuple[float, ...]:
-    """A box around the Brep as it is now: that of the control nets of sculpted faces, and the old one for the others."""
+    """A box around the Brep as it is now: the control nets of the sculpted faces, and the old box for the others."""
     nets: list[Array] = [_local(s.control_points.reshape(-1, 3), body) for s in body.sculpted.values()]
     box = np.array(brep.box).reshape(2, 3)
     if len(body.sculpted) < len(brep.faces) and (box[0] <= box[1]).all():
@@ -194,8 +193,7 @@ def _box(brep: Brep, body: Body) -> tuple[float, ...]:
 
 def _translated(chunk: bytes, version: int, body: Body, after: bytes) -> bytes:
     """A Brep of a version 60 archive in the layout of another archive version, written by openNURBS."""
-    import rhino3dm
-
+    rhino3dm = library()
     thing = decoded(chunk)
     if thing is None or version not in WRITTEN_VERSIONS:
         raise InputError(
@@ -223,8 +221,7 @@ def _as_version_3(data: bytes) -> bytes:
     Identities, which version 1 has not, are derived from the file's content, so that two runs give the same bytes. The
     dimension style that openNURBS makes up with a random identity goes too, unless a dimension or text may need it.
     """
-    import rhino3dm
-
+    rhino3dm = library()
     model = rhino3dm.File3dm.FromByteArray(data)
     root = uuid.uuid5(uuid.NAMESPACE_OID, hashlib.sha256(data).hexdigest())
     for kind, table in (("layer", model.Layers), ("material", model.Materials), ("line type", model.Linetypes)):

@@ -110,7 +110,7 @@ def test_first_contact_is_when_the_ball_arrives():
 
 
 def test_control_points_away_from_the_dent_keep_their_bits():
-    result = run(model_of())
+    result = run(model_of(rows=[(0.0, [20, 20, 8.5]), (0.03, [20, 20, 7.5]), (0.06, [20, 20, 9.0])]))
     patch = result.session.model.patches[0]
     net, rest = result.session.state.control_points[0], patch.surface.control_points
     moved = (net != rest).any(axis=2)

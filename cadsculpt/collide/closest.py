@@ -30,11 +30,17 @@ DISTANCE, POINT, NORMAL, U, V = 0, 1, 4, 7, 8
 """Columns of a `project` result (n, 9); POINT and NORMAL are three columns each."""
 
 NEAR_ENOUGH = 0.1
-"""A cell this small against its distance is start enough for Newton: finer ones would not change the start's quality."""
+"""A cell this small against its distance, or smaller than the group, is not refined: it is start enough for Newton."""
 
 SHEET = 1.5
 """A cell's middle is no farther than the closest point that it holds by more than its radius, at right angles: cells beyond
 (with this margin for their bulge) hold nothing nearer than what is found."""
+
+ROUGH = 0.01
+"""Angle between connecting line and normal at which a point that is clearly outside is told apart well enough."""
+
+TAYLOR = 1e-6
+"""A last step below this part of a knot span is not evaluated again: what it leaves out is its cube."""
 
 NEWTON_STEPS = 32
 """Newton takes 3 to 6 steps from a neighbouring grid point; creases of the surface stop it and go to `compass`."""
@@ -62,7 +68,7 @@ def closest_points(grid: PatchGrid, net: Array, points: Array) -> Closest:
     points = np.array(points, dtype=np.float64).reshape(-1, 3)
     best = np.full((len(points), 9), np.inf)
     state, owner = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
-    project(g, points, np.arange(len(points) + 1), 0.0, 0, best, state, owner)
+    project(g, points, np.arange(len(points) + 1), 0.0, np.inf, 0, best, state, owner)
     return Closest(
         best[:, U], best[:, V], best[:, POINT : POINT + 3], best[:, NORMAL : NORMAL + 3], best[:, DISTANCE], state == PROPER
     )
@@ -70,11 +76,12 @@ def closest_points(grid: PatchGrid, net: Array, points: Array) -> Closest:
 
 @njit
 def project(
-    g: Patch, points: Array, group: Index, tie: float, patch: int, best: Array, state: Index, owner: Index
+    g: Patch, points: Array, group: Index, tie: float, beyond: float, patch: int, best: Array, state: Index, owner: Index
 ) -> None:
     """Closest points of one patch to points (n, 3), where they are nearer than what `best` (n, 9) holds already.
 
-    group (k + 1,) : points group[i] to group[i + 1] are neighbours. owner (n,) becomes `patch` where it wins. A point as
+    group (k + 1,) : points group[i] to group[i + 1] are neighbours. beyond : points outside and farther than this (infinite:
+    none) get their distance to ROUGH squared only. owner (n,) becomes `patch` where it wins. A point as
     near (to `tie`) as the one of a patch before, and in the same place, is on their common edge: the normals are added (the
     pseudo-normal of that edge) and the state becomes PROPER, for the edge is no border then.
     """
@@ -122,14 +129,19 @@ def project(
         finals = 0
         for level in range(1, last + 1):
             fresh, missing = 0, 0
+            most = 1
+            for t in range(count):
+                across_u = child_u[level - 1, here[t, 1] + 1] - child_u[level - 1, here[t, 1]]
+                across_v = child_v[level - 1, here[t, 2] + 1] - child_v[level - 1, here[t, 2]]
+                most = max(most, across_u * across_v)
+            while most * count > len(there):
+                there = grown(there)
             for t in range(count):
                 for ku in range(child_u[level - 1, here[t, 1]], child_u[level - 1, here[t, 1] + 1]):
                     for kv in range(child_v[level - 1, here[t, 2]], child_v[level - 1, here[t, 2] + 1]):
                         at = offset[level] + ku * tally[level, 1] + kv
                         if not covers[at]:
                             continue
-                        if fresh == len(there):
-                            there = grown(there)
                         there[fresh, 0], there[fresh, 1], there[fresh, 2] = level, ku, kv
                         fresh += 1
                         missing += stamp[at] != tick
@@ -140,6 +152,8 @@ def project(
                 upper = min(upper, gap(spheres, at, c) + spheres[at, 3])
             while len(here) < fresh:
                 here = grown(here)
+            while len(final) < finals + fresh:
+                final = grown(final)
             count = 0
             for t in range(fresh):
                 ku, kv = there[t, 1], there[t, 2]
@@ -147,9 +161,7 @@ def project(
                 if gap(spheres, at, c) - spheres[at, 3] > min(upper + 2.0 * rho, cap):
                     continue
                 one = row_u[level, ku + 1] - row_u[level, ku] == 1 and row_v[level, kv + 1] - row_v[level, kv] == 1
-                if level == last or one or spheres[at, 3] <= NEAR_ENOUGH * upper:
-                    if finals == len(final):
-                        final = grown(final)
+                if level == last or one or spheres[at, 3] <= max(rho, NEAR_ENOUGH * upper):
                     final[finals, 0], final[finals, 1], final[finals, 2] = level, ku, kv
                     finals += 1
                 else:
@@ -200,7 +212,7 @@ def project(
                     continue
                 kind = newton(
                     g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.poles,
-                    g.slack, x, y, z, found, h, scratch,
+                    g.slack, g.flip * beyond, x, y, z, found, h, scratch,
                 )  # fmt: skip
                 for a in range(3):
                     found[NORMAL + a] *= g.flip
@@ -262,9 +274,11 @@ def merge(found: Array, kind: int, patch: int, tie: float, i: int, best: Array, 
 @njit
 def newton(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, wrap_u: bool, wrap_v: bool, poles: int,
-    slack: float, x: float, y: float, z: float, found: Array, h: Array, scratch: Array,
+    slack: float, beyond: float, x: float, y: float, z: float, found: Array, h: Array, scratch: Array,
 ) -> int:  # fmt: skip
     """The local closest point to (x, y, z) from the start (u, v) in found[U], found[V]; fills `found`, returns its kind.
+
+    Positive or negative `beyond`: points farther than this on the side of +- S_u x S_v need no exact answer.
 
     Newton on |S - x|^2 / 2 with the full Hessian where it is positive, else Gauss and Newton's, halved until the distance
     falls; parameters on a border that the gradient pushes outwards are held there.
@@ -275,6 +289,8 @@ def newton(
     tolerance = 4.0 * slack
     f = approach(net, knots_u, knots_v, p, q, rational, u, v, x, y, z, h, scratch)
     converged, open_border = False, False
+    # pieces per parameter: the third derivatives over a step of this relative size are below rounding
+    span_u, span_v = (net.shape[0] - p) * p / (u1 - u0), (net.shape[1] - q) * q / (v1 - v0)
     for _ in range(NEWTON_STEPS):
         rx, ry, rz = h[0, 0] - x, h[0, 1] - y, h[0, 2] - z
         gu = rx * h[1, 0] + ry * h[1, 1] + rz * h[1, 2]
@@ -293,6 +309,11 @@ def newton(
         if (held_u or off_u <= tolerance) and (held_v or off_v <= tolerance):
             converged = True
             break
+        if f > beyond * beyond and off_u * off_u + off_v * off_v < ROUGH * ROUGH * f:
+            nx, ny, nz = cross(h)
+            if (rx * nx + ry * ny + rz * nz) * beyond < 0.0:
+                converged = True
+                break
         a = uu + rx * h[3, 0] + ry * h[3, 1] + rz * h[3, 2]
         b = uv + rx * h[4, 0] + ry * h[4, 1] + rz * h[4, 2]
         c = vv + rx * h[5, 0] + ry * h[5, 1] + rz * h[5, 2]
@@ -313,6 +334,16 @@ def newton(
             du, dv = 0.0, -gv / max(c, 1e-300)
         if held_v:
             du, dv = (0.0 if held_u else -gu / max(a, 1e-300)), 0.0
+        if abs(du) * span_u <= TAYLOR and abs(dv) * span_v <= TAYLOR and rests_inside(u, du, v, dv, u0, u1, v0, v1):
+            # so near that the third derivatives do not matter: the surface there by Taylor's formula
+            u, v, f = u + du, v + dv, 0.0
+            for k in range(3):
+                h[0, k] += h[1, k] * du + h[2, k] * dv + 0.5 * (h[3, k] * du * du + h[5, k] * dv * dv) + h[4, k] * du * dv
+                h[1, k] += h[3, k] * du + h[4, k] * dv
+                h[2, k] += h[4, k] * du + h[5, k] * dv
+                f += (h[0, k] - (x if k == 0 else (y if k == 1 else z))) ** 2
+            converged = True
+            break
         noise = 2.0 * slack * np.sqrt(f) + slack * slack
         step, better = 1.0, False
         while step > 1e-9:
@@ -337,9 +368,7 @@ def newton(
         found[POINT + k] = h[0, k]
     # the normal; at a pole, that of a point a little inside
     for attempt in range(3):
-        nx = h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1]
-        ny = h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2]
-        nz = h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0]
+        nx, ny, nz = cross(h)
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         uu = h[1, 0] * h[1, 0] + h[1, 1] * h[1, 1] + h[1, 2] * h[1, 2]
         vv = h[2, 0] * h[2, 0] + h[2, 1] * h[2, 1] + h[2, 2] * h[2, 2]
@@ -351,6 +380,22 @@ def newton(
     for k in range(3):
         found[NORMAL + k] = (nx, ny, nz)[k] / length if length > 0.0 else 0.0
     return BORDER if open_border else PROPER
+
+
+@njit
+def cross(h: Array) -> tuple[float, float, float]:
+    """S_u x S_v of h (6, 4)."""
+    return (
+        h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1],
+        h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2],
+        h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0],
+    )
+
+
+@njit
+def rests_inside(u: float, du: float, v: float, dv: float, u0: float, u1: float, v0: float, v1: float) -> bool:
+    """The step ends inside the domain."""
+    return u + du >= u0 and u + du <= u1 and v + dv >= v0 and v + dv <= v1
 
 
 @njit

@@ -467,7 +467,7 @@ def _closest_contacts(
             make_points(g, inner, 1)
     while len(wave):
         names, group = quadrature.in_blocks(wave, columns)
-        nearest = _nearest(tool, patches, g.points[names], group, tie)
+        nearest = _nearest(tool, patches, g.points[names], group, tie, 1.1 * margin + 1e-300)
         quadrature.set_depths(g, names, nearest.depth)
         hit = ~(nearest.depth < -margin)
         wave = wave[:0]
@@ -515,7 +515,9 @@ class _Nearest:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
-def _nearest(tool: SurfaceTool, patches: list[Patch], points: Array, group: Index, tie: float) -> _Nearest:
+def _nearest(
+    tool: SurfaceTool, patches: list[Patch], points: Array, group: Index, tie: float, beyond: float = np.inf
+) -> _Nearest:
     """The closest points of all patches of a tool, and on which side of it the points lie.
 
     At the common edge of two patches the sum of their normals tells the sides apart (Baerentzen and Aanaes 2005). A point
@@ -524,7 +526,7 @@ def _nearest(tool: SurfaceTool, patches: list[Patch], points: Array, group: Inde
     best = np.full((len(points), 9), np.inf)
     state, owner = np.zeros(len(points), np.int64), np.full(len(points), -1, dtype=np.int64)
     for k, patch in enumerate(patches):
-        project(patch, points, group, tie, k, best, state, owner)
+        project(patch, points, group, tie, beyond, k, best, state, owner)
     arm = points - best[:, POINT : POINT + 3]
     total = best[:, NORMAL : NORMAL + 3]
     length = np.linalg.norm(total, axis=1)
@@ -564,7 +566,7 @@ def _point_contacts(run: _Run, index: int, tool: PointTool) -> list[Contacts]:
         work, g = run.model(int(face))
         levels.covered_spans(g)
         before = best.copy(), state.copy(), owner.copy()
-        project(g, position[None], group, EDGE * size, int(face), best, state, owner)
+        project(g, position[None], group, EDGE * size, np.inf, int(face), best, state, owner)
         if owner[0] == face and not _on_face(run.grids[face], best[:, [U, V]])[0]:
             best, state, owner = before  # trimmed away there
     if state[0] in (NOTHING, BORDER):

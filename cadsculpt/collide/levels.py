@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit, njit_inline
+from ..jit import njit
 from .grid import Patch, canonical, grown, make_points
 from .spheres import make_spheres
 
@@ -102,7 +102,11 @@ def refine(g: Patch, cells: Index, distance: Array, margin: float) -> tuple[Inde
     if ended or kept == 0:
         none = np.empty((0, 3))
         return cells[:kept], none, none[:, 0].copy(), True
-    children = np.empty((64, 3), np.int64)
+    most = 1
+    for t in range(kept):
+        ku, kv = cells[t, 1], cells[t, 2]
+        most = max(most, (child_u[level, ku + 1] - child_u[level, ku]) * (child_v[level, kv + 1] - child_v[level, kv]))
+    children = np.empty((most * kept, 3), np.int64)
     count = 0
     offset, across = g.offset[level + 1], g.count[level + 1, 1]
     for t in range(kept):
@@ -110,8 +114,6 @@ def refine(g: Patch, cells: Index, distance: Array, margin: float) -> tuple[Inde
             for kv in range(child_v[level, cells[t, 2]], child_v[level, cells[t, 2] + 1]):
                 if not covers[offset + ku * across + kv]:
                     continue
-                if count == len(children):
-                    children = grown(children)
                 children[count, 0], children[count, 1], children[count, 2] = level + 1, ku, kv
                 count += 1
     make_spheres(g, children, count)
@@ -130,13 +132,14 @@ def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
     count = 0
     for t in range(len(cells)):
         level, ku, kv = cells[t, 0], cells[t, 1], cells[t, 2]
-        for i in range(row_u[level, ku], row_u[level, ku + 1] + 1):
-            for j in range(row_v[level, kv], row_v[level, kv + 1] + 1):
+        i0, i1, j0, j1 = row_u[level, ku], row_u[level, ku + 1], row_v[level, kv], row_v[level, kv + 1]
+        while count + (i1 - i0 + 1) * (j1 - j0 + 1) > len(names):
+            names = grown(names)
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
                 k = canonical(i, j, m, n, wrap_u, wrap_v, poles)
                 if visit[k] != mark and on_face[k]:
                     visit[k] = mark
-                    if count == len(names):
-                        names = grown(names)
                     names[count, 0] = k
                     count += 1
     found = names[:count, 0].copy()
@@ -144,55 +147,54 @@ def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
     return found
 
 
-@njit_inline
-def is_leaf(level: int, last: int, rows: int, columns: int, worth: float, tolerance: float) -> bool:
-    """Nothing is left to refine in a cell: it is the finest, one row by one column, or flat."""
-    return level > 0 and (level == last or (rows == 1 and columns == 1) or worth <= tolerance)
-
-
 @njit
 def plan(
-    g: Patch, other: Patch, pairs: Index, count: int, o: int, tolerance: float, mark: int, split: Mask, fresh: Index
+    a: Patch, b: Patch, pairs: Index, count: int, tolerance: float, mark_a: int, mark_b: int, split: Mask, fresh: Index
 ) -> tuple[Index, int]:
-    """Which cells of one body (columns o to o + 2 of pairs[:count]) to split, and the spheres of their children.
+    """Which cells of pairs[:count] to split, into split (count, 2), and the spheres of their children.
 
-    Returns the children (in `fresh`, or in a longer array) and their number; they carry `mark`, and slot 0.
+    A cell is split unless nothing is left to refine in it; of two unequal ones (certified mode), the larger first. Returns
+    an array (`fresh`, or a longer one) and the number of children; these carry the mark, and slot 0.
     """
-    e = 3 - o
-    last, other_last, column = len(g.offset) - 2, len(other.offset) - 2, o // 3
-    offset, tally, row_u, row_v, spheres = g.offset, g.count, g.row_u, g.row_v, g.spheres
-    child_u, child_v, covers, marks, slot = g.child_u, g.child_v, g.covers, g.mark, g.slot
-    off2, tally2, row_u2, row_v2, spheres2 = other.offset, other.count, other.row_u, other.row_v, other.spheres
-    wanted = 0
+    off_a, tally_a, ball_a, child_ua, child_va = a.offset, a.count, a.spheres, a.child_u, a.child_v
+    off_b, tally_b, ball_b, child_ub, child_vb = b.offset, b.count, b.spheres, b.child_u, b.child_v
     for t in range(count):
-        level, ku, kv = pairs[t, o], pairs[t, o + 1], pairs[t, o + 2]
-        level2, ku2, kv2 = pairs[t, e], pairs[t, e + 1], pairs[t, e + 2]
-        at = offset[level] + ku * tally[level, 1] + kv
-        rows, columns = row_u[level, ku + 1] - row_u[level, ku], row_v[level, kv + 1] - row_v[level, kv]
-        refined = not is_leaf(level, last, rows, columns, spheres[at, 4], tolerance)
-        if refined and not g.paper and level > 0 and level2 > 0:
-            to = off2[level2] + ku2 * tally2[level2, 1] + kv2
-            rows2 = row_u2[level2, ku2 + 1] - row_u2[level2, ku2]
-            columns2 = row_v2[level2, kv2 + 1] - row_v2[level2, kv2]
-            refined = spheres2[to, 3] <= SIZES * spheres[at, 3] or is_leaf(
-                level2, other_last, rows2, columns2, spheres2[to, 4], tolerance
-            )
-        split[t, column] = refined
-        if not refined:
-            continue
-        for c in range(child_u[level, ku], child_u[level, ku + 1]):
-            for d in range(child_v[level, kv], child_v[level, kv + 1]):
-                at = offset[level + 1] + c * tally[level + 1, 1] + d
-                if marks[at] == mark or not covers[at]:
-                    continue
-                marks[at] = mark
-                slot[at] = 0
-                if wanted == len(fresh):
-                    fresh = grown(fresh)
-                fresh[wanted, 0], fresh[wanted, 1], fresh[wanted, 2] = level + 1, c, d
-                wanted += 1
-    make_spheres(g, fresh, wanted)
-    return fresh, wanted
+        at = off_a[pairs[t, 0]] + pairs[t, 1] * tally_a[pairs[t, 0], 1] + pairs[t, 2]
+        to = off_b[pairs[t, 3]] + pairs[t, 4] * tally_b[pairs[t, 3], 1] + pairs[t, 5]
+        mine, its = ball_a[at, 4] > tolerance, ball_b[to, 4] > tolerance
+        if mine and its and not a.paper and pairs[t, 0] > 0 and pairs[t, 3] > 0:
+            mine, its = SIZES * ball_a[at, 3] >= ball_b[to, 3], SIZES * ball_b[to, 3] >= ball_a[at, 3]
+        split[t, 0], split[t, 1] = mine, its
+    generated = 0
+    for body in range(2):
+        g = a if body == 0 else b
+        o, mark = (0, mark_a) if body == 0 else (3, mark_b)
+        offset, tally = (off_a, tally_a) if body == 0 else (off_b, tally_b)
+        child_u, child_v = (child_ua, child_va) if body == 0 else (child_ub, child_vb)
+        marks, slot, covers = g.mark, g.slot, g.covers
+        wanted = 0
+        while 4 * count > len(fresh):
+            fresh = grown(fresh)
+        for t in range(count):
+            if not split[t, body]:
+                continue
+            level, ku, kv = pairs[t, o], pairs[t, o + 1], pairs[t, o + 2]
+            # a cell whose first child carries the mark has been here
+            first = offset[level + 1] + child_u[level, ku] * tally[level + 1, 1] + child_v[level, kv]
+            if marks[first] == mark:
+                continue
+            for c in range(child_u[level, ku], child_u[level, ku + 1]):
+                for d in range(child_v[level, kv], child_v[level, kv + 1]):
+                    at = offset[level + 1] + c * tally[level + 1, 1] + d
+                    marks[at] = mark
+                    slot[at] = 0
+                    if not covers[at]:
+                        continue
+                    fresh[wanted, 0], fresh[wanted, 1], fresh[wanted, 2] = level + 1, c, d
+                    wanted += 1
+        make_spheres(g, fresh, wanted)
+        generated += wanted
+    return fresh, generated
 
 
 @njit
@@ -227,15 +229,12 @@ def traverse(
         generated = 0
         if not ended:
             a.counters[8] += 1
-            fresh, wanted = plan(a, b, pairs, count, 0, tolerance, mark_a, split, fresh)
-            generated += wanted
-            fresh, wanted = plan(b, a, pairs, count, 3, tolerance, mark_b, split, fresh)
-            generated += wanted
+            fresh, generated = plan(a, b, pairs, count, tolerance, mark_a, mark_b, split, fresh)
         surviving, met = 0, 0
+        while finished + count > len(done):
+            done = grown(done)
         for t in range(count):
             if ended or not (split[t, 0] or split[t, 1]):
-                if finished == len(done):
-                    done = grown(done)
                 for c in range(6):
                     done[finished, c] = pairs[t, c]
                 finished += 1
@@ -248,6 +247,8 @@ def traverse(
             if split[t, 1]:
                 cb0, cb1, db0, db1 = child_ub[lb, cb0], child_ub[lb, cb1], child_vb[lb, db0], child_vb[lb, db1]
                 lb += 1
+            while surviving + (ca1 - ca0) * (da1 - da0) * (cb1 - cb0) * (db1 - db0) > len(survivors):
+                survivors = grown(survivors)
             for ca in range(ca0, ca1):
                 for da in range(da0, da1):
                     at = off_a[la] + ca * tally_a[la, 1] + da
@@ -264,8 +265,6 @@ def traverse(
                             reach = r + ball_b[to, 3]
                             if p * p + q * q + s * s > reach * reach:
                                 continue
-                            if surviving == len(survivors):
-                                survivors = grown(survivors)
                             survivors[surviving, 0], survivors[surviving, 1], survivors[surviving, 2] = la, ca, da
                             survivors[surviving, 3], survivors[surviving, 4], survivors[surviving, 5] = lb, cb, db
                             surviving += 1

@@ -76,6 +76,8 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
     count = 0
     for t in range(len(names)):
         low_i, high_i, low_j, high_j, share = ring_of(names[t], m, n, poles)
+        while count + (high_i - low_i + 1) * (high_j - low_j + 1) > len(fresh):
+            fresh = grown(fresh)
         for a in range(low_i, high_i + 1):
             c = in_grid(a, m - 1, wrap_u)
             for b in range(low_j, high_j + 1):
@@ -83,8 +85,6 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
                 if c < 0 or d < 0 or stamp[c * n + d] == tick:
                     continue
                 stamp[c * n + d] = tick
-                if count == len(fresh):
-                    fresh = grown(fresh)
                 for corner in range(4):
                     fresh[count, corner] = canonical(
                         c + (corner & 1), d + (corner >> 1), m, n, wrap_u, wrap_v, poles
@@ -114,11 +114,11 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
 
 @njit
 def spread(g: Patch, names: Index, mark: int) -> Index:
-    """The vertices on the face that share a cell with one of `names` and do not carry `mark` yet; they get it."""
+    """The vertices on the face, a block of neighbours at a time, around `names` that do not carry `mark` yet; they get it."""
     m, n = len(g.u), len(g.v)
     wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
     visit, on_face = g.visit, g.inside
-    out = np.empty((64, 1), np.int64)
+    out = np.empty((256, 1), np.int64)
     found = 0
     for t in range(len(names)):
         low_i, high_i, low_j, high_j, share = ring_of(names[t], m, n, poles)
@@ -129,13 +129,20 @@ def spread(g: Patch, names: Index, mark: int) -> Index:
                 if c < 0 or d < 0:
                     continue
                 for corner in range(4):
-                    k = canonical(c + (corner & 1), d + (corner >> 1), m, n, wrap_u, wrap_v, poles)
-                    if visit[k] != mark and on_face[k]:
-                        visit[k] = mark
-                        if found == len(out):
-                            out = grown(out)
-                        out[found, 0] = k
-                        found += 1
+                    i, j = c + (corner & 1), d + (corner >> 1)
+                    k = canonical(i, j, m, n, wrap_u, wrap_v, poles)
+                    if visit[k] == mark or not on_face[k]:
+                        continue
+                    while found + BLOCK * BLOCK > len(out):
+                        out = grown(out)
+                    i, j = i // BLOCK * BLOCK, j // BLOCK * BLOCK
+                    for e in range(i, min(i + BLOCK, m)):
+                        for f in range(j, min(j + BLOCK, n)):
+                            k = canonical(e, f, m, n, wrap_u, wrap_v, poles)
+                            if visit[k] != mark and on_face[k]:
+                                visit[k] = mark
+                                out[found, 0] = k
+                                found += 1
     names = out[:found, 0].copy()
     make_points(g, names, found)
     return names
@@ -152,10 +159,9 @@ def set_depths(g: Patch, names: Index, depth: Array) -> None:
 def in_blocks(names: Index, columns: int) -> tuple[Index, Index]:
     """The names ordered by blocks of neighbours, and where each block starts (blocks + 1,)."""
     key = (names // columns // BLOCK) * (columns // BLOCK + 1) + names % columns // BLOCK
-    order = np.lexsort((names, key))
+    order = np.argsort(key, kind="stable")
     key = key[order]
-    starts = np.concatenate([[0], np.flatnonzero(key[1:] != key[:-1]) + 1, [len(names)]]) if len(names) else np.zeros(1)
-    return names[order], starts.astype(np.int64)
+    return names[order], np.concatenate([[0], np.flatnonzero(key[1:] != key[:-1]) + 1, [len(names)]])
 
 
 @njit
@@ -176,8 +182,11 @@ def unresolved(g: Patch, cells: Index, margin: float, known: int, mark: int) -> 
     # touched vertices get mark + 1: the known ones in contact, then all of cells that they are connected to
     for t in range(len(cells)):
         level, ku, kv = cells[t, 0], cells[t, 1], cells[t, 2]
-        for i in range(row_u[level, ku], row_u[level, ku + 1]):
-            for j in range(row_v[level, kv], row_v[level, kv + 1]):
+        i0, i1, j0, j1 = row_u[level, ku], row_u[level, ku + 1], row_v[level, kv], row_v[level, kv + 1]
+        while count + (i1 - i0) * (j1 - j0) > len(maybe):
+            maybe = grown(maybe)
+        for i in range(i0, i1):
+            for j in range(j0, j1):
                 reach2, farthest, touched, complete = 0.0, -np.inf, False, True
                 for c in range(4):
                     ids[c] = canonical(i + (c & 1), j + (c >> 1), m, n, wrap_u, wrap_v, poles)
@@ -200,8 +209,6 @@ def unresolved(g: Patch, cells: Index, margin: float, known: int, mark: int) -> 
                     sag = (hu * hu * bounds[a, b, S_UU] + hv * hv * bounds[a, b, S_VV]) / 8.0
                     if farthest > np.sqrt(reach2) + sag + margin:
                         continue
-                if count == len(maybe):
-                    maybe = grown(maybe)
                 maybe[count, 0], maybe[count, 1] = i, j
                 for c in range(4):
                     maybe[count, 2 + c] = ids[c]

@@ -129,12 +129,13 @@ def make_spheres(g: Patch, cells: Index, count: int) -> None:
 
     g.spheres: centre, radius, and in column 4 what refinement is worth: certified mode, the sag of the cell's two
     triangles; paper mode, 0 where the normals of the points that refinement would make agree within delta (4.5.1,
-    "comparing the normals of the points generated"), else infinite.
+    "comparing the normals of the points generated"), else infinite; -1 where nothing is left to refine.
     """
     tick, paper, slack, m, n = g.tick, g.paper, g.slack, len(g.u), len(g.v)
     spheres, stamp, offset, tally, box = g.spheres, g.sphere_stamp, g.offset, g.count, g.box
     row_u, row_v, points, u, v = g.row_u, g.row_v, g.points, g.u, g.v
     bounds, bounds_stamp, span_u, span_v = g.bounds, g.bounds_stamp, g.span_u, g.span_v
+    last = len(offset) - 2
     names = np.empty(4 * count, np.int64)
     wanted = np.empty(count, np.int64)
     made = 0
@@ -168,9 +169,10 @@ def make_spheres(g: Patch, cells: Index, count: int) -> None:
         at = offset[level] + ku * tally[level, 1] + kv
         sphere_of(points, names[4 * k], names[4 * k + 1], names[4 * k + 2], names[4 * k + 3], paper, ids, scratch)
         radius, worth = scratch[3], 0.0
+        i0, i1 = row_u[level, ku], row_u[level, ku + 1]
+        j0, j1 = row_v[level, kv], row_v[level, kv + 1]
+        finest = level == last or (i1 - i0 == 1 and j1 - j0 == 1)
         if not paper:
-            i0, i1 = row_u[level, ku], row_u[level, ku + 1]
-            j0, j1 = row_v[level, kv], row_v[level, kv + 1]
             a, b = span_u[i0], span_v[j0]
             if bounds_stamp[a, b] != tick:
                 bounds_stamp[a, b] = tick
@@ -184,10 +186,10 @@ def make_spheres(g: Patch, cells: Index, count: int) -> None:
             radius += sag + slack
         for c in range(3):
             spheres[at, c] = scratch[c]
+        if paper and not finest:
+            worth = 0.0 if normals_agree(g, level, ku, kv) else np.inf
         spheres[at, 3] = radius
-        spheres[at, 4] = worth
-        if paper:
-            spheres[at, 4] = 0.0 if normals_agree(g, level, ku, kv) else np.inf
+        spheres[at, 4] = -1.0 if finest else worth
     g.counters[3] += made
 
 

@@ -22,18 +22,23 @@ from ..errors import InputError, SimulationError
 from ..jit import njit
 from .forces import local_nodes, press, rub
 from .lattice import Lattice
-from .springs import fastest_stretch, highest_frequency, spring_forces
+from .springs import SCRATCH_ROWS, fastest_stretch, highest_frequency, spring_forces
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 SAFETY = 0.9
-"""Share of the bound that the automatic sub-step takes: the lattice stiffens a little while it moves within a step."""
+"""Share of the bound at rest that the automatic sub-step takes."""
+
+CLOSEST = 0.97
+"""Share of the bound as the lattice is now that the automatic sub-step may take before it is cut."""
+
+CUT = 0.84
+"""The automatic sub-step is that at rest times a power of this: a symplectic rule whose step followed every small motion would
+gain energy."""
 
 MOST_STRETCH = 0.5
 """A spring that changes by this share of its length within one sub-step moves faster than sound in the material does."""
-
-SCRATCH_ROWS = 13
 
 
 @dataclass(slots=True, eq=False)
@@ -104,9 +109,11 @@ def stable_substep(lattice: Lattice, state: LatticeState | None = None, *, safet
     From a bound of the highest frequency (springs.highest_frequency) and the damping; contacts do not enter it. Infinite for
     a lattice without a free node.
     """
-    x, rest = (lattice.nodes, lattice.rest_length) if state is None else (state.x, state.rest_length)
-    work = np.empty((SCRATCH_ROWS, len(x) + 2)) if state is None else state.scratch
-    square = highest_frequency(lattice.segments, lattice.stiffness, rest, lattice.inverse_mass, x, work)
+    square = lattice.highest_frequency
+    if state is not None:
+        square = highest_frequency(
+            lattice.segments, lattice.stiffness, state.rest_length, lattice.inverse_mass, state.x, state.scratch
+        )
     drag = float((lattice.gamma * lattice.inverse_mass).max())
     bound = drag + math.sqrt(drag * drag + 4.0 * square)
     return safety * 4.0 / bound if bound > 0.0 else math.inf
@@ -123,7 +130,7 @@ def advance(
 ) -> StepForces:
     """Integrate eq. 4 over dt seconds in equal sub-steps; `state` is changed in place.
 
-    substep : the longest allowed, None for the largest stable one. external (N, 3) : further nodal forces [N], constant.
+    substep : the longest allowed, None for the automatic one, which is stable. external (N, 3) : further nodal forces [N], constant.
     During the step each contact's plane moves with its tool: depth(t) = depth + normal . (x_c(t) - x_c(0) - velocity t).
 
     Raises InputError for a substep that is not stable, naming the largest that is, and SimulationError when the lattice
@@ -132,11 +139,13 @@ def advance(
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"a step of {dt} s", mend="a step takes a positive time")
     largest = stable_substep(lattice, state, safety=1.0)
-    if not largest > 0.0:
-        raise SimulationError("the lattice's positions are not finite", mend="reduce the step or the tool's speed")
     if substep is not None and not 0.0 < substep <= largest:
         raise InputError(f"a sub-step of {substep:g} s", mend=f"the largest that is stable here is {largest:.4g} s")
-    longest = SAFETY * largest if substep is None else substep
+    longest = substep
+    if longest is None:
+        longest = stable_substep(lattice)
+        while longest > CLOSEST * largest:
+            longest *= CUT
     count = max(1, math.ceil(dt / longest * (1.0 - 1e-12)))
     if load is None:
         load = _NO_LOAD
@@ -176,11 +185,14 @@ def advance(
     velocity = np.ascontiguousarray(state.scratch[3:6, 1 : nodes + 1].T)
     max_speed = math.sqrt(float(np.einsum("nc,nc->n", velocity, velocity).max()))
     stretch = fastest_stretch(lattice.segments, lattice.stiffness, lattice.rest_length, velocity) * dt / count
-    if not (stretch <= MOST_STRETCH and math.isfinite(max_speed)):
+    finite = bool(np.isfinite(max_speed) and np.isfinite(state.scratch[0:3]).all())
+    if not (finite and stretch <= MOST_STRETCH):
         if rest_before is not None:
             state.rest_length[:] = rest_before
         raise SimulationError(
-            "the lattice became unstable: parts of it move faster than sound does in the material",
+            "parts of the lattice move faster than sound does in the material"
+            if finite
+            else "the lattice's positions are no longer finite",
             mend="reduce the step, the tool's speed or the depth it presses to",
         )
     state.x[:] = state.scratch[0:3, 1 : nodes + 1].T

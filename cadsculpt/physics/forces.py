@@ -36,9 +36,9 @@ from .material import Material
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-STIFFNESS_RATIO = 20.0
-"""k_n over E / spacing: a dent one node spacing wide is 20 times stiffer to the contact than to the material, so that the
-residual penetration is about 5 % of the narrowest dents' depth and far less of wide ones'."""
+STIFFNESS_RATIO = 100.0
+"""k_n over E / spacing: a dent one node spacing wide is 100 times stiffer to the contact than to the material, so that the
+residual penetration is about 1 % of the narrowest dents' depth and far less of wide ones'."""
 
 DAMPING_RATIO = 0.5
 """c_n as a fraction of critical for the contact's own spring under half a cell's mass: a tool that lands does not bounce."""

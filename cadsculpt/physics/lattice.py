@@ -23,6 +23,7 @@ from ..errors import InputError
 from .calibrate import OFFSETS, calibrate_cells, spring_flow
 from .fold import check_folds
 from .material import Material
+from .springs import SCRATCH_ROWS, highest_frequency
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -46,6 +47,7 @@ class Lattice:
     inverse_mass (N,) : 0 for nodes that do not move freely.
     cell_active (cu, cv), cell_material (cu, cv, layers) : cells, index into the materials. thickness, spacing : thickness
     and edge of a cube of the mean cell's volume [L]. plastic : some spring can yield. right_handed : (u, v, inward) is.
+    highest_frequency : an upper bound of the squared angular frequencies at rest [1/s^2].
     segments (M, 4) : direction, start, stop, shift: runs of springs (d, n), n in [start, stop), that end at n + shift.
     """
 
@@ -73,6 +75,7 @@ class Lattice:
     plastic: bool
     right_handed: bool
     segments: Index
+    highest_frequency: float
     metres_per_unit: float
 
 
@@ -163,6 +166,8 @@ def build_lattice(
     inverse_mass = np.zeros(count)
     free = active & ~held
     inverse_mass[free] = 1.0 / mass[free]
+    scratch = np.empty((SCRATCH_ROWS, count + 2))
+    frequency = highest_frequency(segments, stiffness, rest_length, inverse_mass, nodes, scratch)
     return Lattice(
         shape=(nu, nv, nl),
         wrap=(bool(wrap[0]), bool(wrap[1])),
@@ -188,6 +193,7 @@ def build_lattice(
         plastic=bool(np.isfinite(yield_strain).any()),
         right_handed=right_handed,
         segments=segments,
+        highest_frequency=frequency,
         metres_per_unit=float(metres_per_unit),
     )
 

@@ -18,6 +18,9 @@ from ..jit import njit
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+SCRATCH_ROWS = 13
+"""Rows of N + 2 numbers that `highest_frequency` and the integrators work in."""
+
 TINY = 1e-300
 """Added to squared lengths: springs between two nodes of one point have no direction, and no force either."""
 
@@ -152,7 +155,7 @@ def highest_frequency(
     it, so that no eigenvalue exceeds the largest one of any node's 3 x 3 matrix sum_s H (1 / m_a + 1 / sqrt(m_a m_b))
     (Gershgorin by blocks); in a regular lattice's inside the bound is reached. A held node counts as infinitely heavy.
     H = k (n n + max(0, 1 - L_p / L) (1 - n n)): the parts of a compressed spring that push sideways only lower the frequency.
-    work (13, N + 2).
+    work (SCRATCH_ROWS, N + 2).
 
     An eigenvalue of a symmetric 3 x 3 matrix is at most m + sqrt(2) s, m their mean and s their standard deviation.
     """

@@ -21,8 +21,8 @@ DOCUMENT: dict[str, Any] = {
     "time": 0.5,
     "converged": True,
     "summary": {
-        "first_contact": 0.125, "max_depth": 1.5, "max_penetration": 0.0125, "max_force": 12.5, "max_contact_area": 99.0,
-        "max_displacement": 4.25, "refit_max_error": 0.001, "refit_rms_error": 0.0001,
+        "first_contact": 0.125, "max_depth": 1.5, "max_penetration": 0.0125, "max_force": 12.5,
+        "max_contact_area": 99.0, "max_displacement": 4.25, "refit_max_error": 0.001, "refit_rms_error": 0.0001,
     },
     "expectations": [
         {"what": "max_force", "pair": ["panel", "ball"], "expected": {"at_most": 3.0}, "measured": 12.5, "ok": False},
@@ -161,8 +161,8 @@ def test_an_interrupt_says_where_the_work_lies(
 
 def test_the_format_follows_the_name() -> None:
     for name, format in (
-        ("a.step", "step"), ("a.STP", "step"), ("a.igs", "iges"), ("a.iges", "iges"), ("a.3dm", "3dm"), ("a.json", "json"),
-        ("a.geomdl.json", "geomdl"),
+        ("a.step", "step"), ("a.STP", "step"), ("a.igs", "iges"), ("a.iges", "iges"), ("a.3dm", "3dm"),
+        ("a.json", "json"), ("a.geomdl.json", "geomdl"),
     ):  # fmt: skip
         assert format_of(Path(name)) == format
     with pytest.raises(InputError, match="use one of"):
@@ -202,8 +202,8 @@ def test_convert_of_chosen_faces(panel_file: Path, tmp_path: Path, capsys: pytes
 
     name = cs.read(panel_file).faces[0].name
     for face in (name, "1"):
-        assert cadsculpt(["convert", str(panel_file), str(tmp_path / f"{face}.json"), "--face", face, "--quiet"]) == 0
-        assert len(cs.read(tmp_path / f"{face}.json").faces) == 1
+        assert cadsculpt(["convert", str(panel_file), str(tmp_path / f"only-{face}.json"), "--face", face, "--quiet"]) == 0
+        assert len(cs.read(tmp_path / f"only-{face}.json").faces) == 1
     assert cadsculpt(["convert", str(panel_file), str(tmp_path / "no.json"), "--face", "nose"]) == 2
     assert "no face named 'nose'" in capsys.readouterr().err
     assert not (tmp_path / "no.json").exists()

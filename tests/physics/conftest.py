@@ -14,6 +14,7 @@ from cadsculpt.physics.calibrate import OFFSETS
 from cadsculpt.physics.explicit import ContactLoad
 from cadsculpt.physics.lattice import Lattice, build_lattice, spring_segments
 from cadsculpt.physics.material import Material
+from cadsculpt.physics.springs import SCRATCH_ROWS, highest_frequency
 
 Array = NDArray[np.float64]
 MM = 1e-3
@@ -79,6 +80,10 @@ def chain() -> Callable[..., Lattice]:
         lengths[0, : n - 1] = 1.0
         mass = np.array(masses, dtype=float)
         anchored = np.isin(np.arange(n), held)
+        inverse_mass = np.where(anchored, 0.0, 1.0 / mass)
+        segments = spring_segments((n, 1, 1), (False, False))
+        scratch = np.empty((SCRATCH_ROWS, n + 2))
+        frequency = highest_frequency(segments, springs, lengths, inverse_mass, nodes, scratch)
         return Lattice(
             shape=(n, 1, 1),
             wrap=(False, False),
@@ -96,14 +101,15 @@ def chain() -> Callable[..., Lattice]:
             volume=np.ones(n),
             anchored=anchored,
             active=np.ones(n, dtype=bool),
-            inverse_mass=np.where(anchored, 0.0, 1.0 / mass),
+            inverse_mass=inverse_mass,
             cell_active=np.zeros((n - 1, 0), dtype=bool),
             cell_material=np.zeros((n - 1, 0, 0), dtype=np.int64),
             thickness=1.0,
             spacing=1.0,
             plastic=bool(np.isfinite(yield_strain)),
             right_handed=True,
-            segments=spring_segments((n, 1, 1), (False, False)),
+            segments=segments,
+            highest_frequency=frequency,
             metres_per_unit=MM,
         )
 
