@@ -160,11 +160,7 @@ def _points(item: Mapping[str, Any], where: str, size: int) -> tuple[Array, Arra
     if not isinstance(control, dict):
         raise InputError("an object with 'points' is needed", where=f"{where}.control_points")
     here = f"{where}.control_points"
-    points = numbers(_need(control, "points", here), f"{here}.points", 2)
-    if points.shape[1] != size:
-        raise InputError(
-            f"control points of {points.shape[1]} numbers", where=f"{here}.points", mend=f"{size} are needed"
-        )
+    points = numbers(_need(control, "points", here), f"{here}.points", 2, size)
     if control.get("weights") is None:
         return points, None
     weights = numbers(control["weights"], f"{here}.weights", 1)

@@ -32,7 +32,9 @@ from .occt_document import (
     free_shapes,
     new_document,
     set_length_unit,
+    wrong_entities,
 )
+from .occt_probe import ensure_survives
 from .occt_quiet import quiet
 from .step_text import REAL_FORMAT, step_real
 
@@ -57,10 +59,19 @@ def read(path: Path, *, units: str | None = None) -> OcctPart:
 
     Raises InputError, in one line, when the file is missing, empty, no IGES file, beyond reading or without surfaces.
     """
+    return load(path, units=units)
+
+
+def load(path: Path, *, units: str | None = None, probing: bool = False) -> OcctPart:
+    """`read`; when not `probing`, a file that looks damaged is tried in another process first."""
     data = _content(path)
     file = parse(data.decode("latin-1"))
     if not file.entities:
         raise InputError("this is no IGES file", where=str(path), mend="its lines have S, G, D and P in column 73")
+    tried = probing
+    if not tried and (file.broken or not file.complete):
+        ensure_survives(path, "iges")
+        tried = True
     warnings = []
     if file.crowded:
         warnings.append(
@@ -75,6 +86,8 @@ def read(path: Path, *, units: str | None = None) -> OcctPart:
         status = _load(reader, path, text_of(file) if file.crowded else None)
         if status != IFSelect_ReturnStatus.IFSelect_RetDone:
             raise InputError("the CAD kernel cannot read it", where=str(path), mend=_mend(file))
+        if not tried and wrong_entities(reader.WS().Model()):
+            ensure_survives(path, "iges")
         unit, said = _unit_of(file)
         warnings += said
         factor = 1.0

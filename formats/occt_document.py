@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from OCP.collections import IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher, Sequence_TDF_Label
+from OCP.Interface import Interface_InterfaceModel
 from OCP.TCollection import TCollection_ExtendedString
 from OCP.TDataStd import TDataStd_Name
 from OCP.TDF import TDF_AttributeIterator, TDF_Label
@@ -42,6 +43,11 @@ def set_length_unit(document: TDocStd_Document, metres: float) -> None:
 def labels(sequence: Any) -> list[TDF_Label]:
     """A sequence of labels as a list."""
     return [sequence.Value(i) for i in range(1, sequence.Length() + 1)]
+
+
+def wrong_entities(model: Interface_InterfaceModel) -> int:
+    """How many entities of a file just loaded the kernel found not to be what the format asks."""
+    return sum(model.IsErrorEntity(i) for i in range(1, model.NbEntities() + 1))
 
 
 def free_shapes(document: TDocStd_Document) -> list[TopoDS_Shape]:

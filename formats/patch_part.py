@@ -133,12 +133,25 @@ class PatchPart(Part):
 
             write_part(self, path)
         elif format in ("step", "iges"):
-            from .occt import document_of_shapes
-            from .occt_quiet import quiet
-            from .occt_shape import shape_of_surface
-
-            with quiet():
-                shapes = [(surface.name, shape_of_surface(surface)) for surface in self.surfaces]
-            document_of_shapes(shapes, self.units, path=self.path, format=format).write(path, format)
+            self._write_through_kernel(path, format)
         else:
             raise InputError(f"cannot write {format!r}", where=str(path), mend="use step, iges, 3dm or json")
+
+    def _write_through_kernel(self, path: Path, format: str) -> None:
+        """Every surface as a shell of one face: faces that stand in no shell lose their names in STEP."""
+        from OCP.BRep import BRep_Builder
+        from OCP.TopoDS import TopoDS_Shell
+
+        from .occt import document_of_shapes
+        from .occt_quiet import quiet
+        from .occt_shape import shape_of_surface
+
+        shells, faces, builder = [], [], BRep_Builder()
+        with quiet():
+            for surface in self.surfaces:
+                shell, face = TopoDS_Shell(), shape_of_surface(surface)
+                builder.MakeShell(shell)
+                builder.Add(shell, face)
+                shells.append((surface.name, shell))
+                faces.append((surface.name, face))
+        document_of_shapes(shells, self.units, faces=faces, path=self.path, format=format).write(path, format)

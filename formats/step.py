@@ -19,7 +19,8 @@ from ..errors import InputError
 from ..units import conversion, unit_name
 from .atomic import write_whole
 from .occt import OcctPart
-from .occt_document import METRES_PER_MM, count_faces, face_names, free_shapes, new_document, set_length_unit
+from .occt_document import METRES_PER_MM, count_faces, face_names, free_shapes, new_document, set_length_unit, wrong_entities
+from .occt_probe import ensure_survives
 from .occt_quiet import quiet
 from .step_text import REAL_FORMAT, TIME_STAMP, StepFacts, facts_of, settled
 
@@ -35,8 +36,17 @@ def read(path: Path, *, units: str | None = None) -> OcctPart:
 
     Raises InputError, in one line, when the file is missing, empty, no STEP file, beyond reading or without faces.
     """
+    return load(path, units=units)
+
+
+def load(path: Path, *, units: str | None = None, probing: bool = False) -> OcctPart:
+    """`read`; when not `probing`, a file that looks damaged is tried in another process first."""
     data = _content(path)
     facts = facts_of(data)
+    tried = probing
+    if not tried and (facts.damaged or not facts.complete):
+        ensure_survives(path, "step")
+        tried = True
     with quiet():
         STEPCAFControl_Controller.Init_s()
         Interface_Static.SetIVal_s("read.stepcaf.subshapes.name", 1)
@@ -46,6 +56,9 @@ def read(path: Path, *, units: str | None = None) -> OcctPart:
         status = reader.ReadStream(path.name, io.BytesIO(data))
         if status != IFSelect_ReturnStatus.IFSelect_RetDone:
             raise InputError("the CAD kernel cannot read it", where=str(path), mend=_mend(facts))
+        wrong = wrong_entities(reader.ChangeReader().Model())
+        if wrong and not tried:
+            ensure_survives(path, "step")
         unit, warnings = _unit_of(reader)
         document = new_document()
         factor = 1.0
@@ -60,7 +73,7 @@ def read(path: Path, *, units: str | None = None) -> OcctPart:
         if not done or count == 0:
             what = f"none of its {facts.faces} faces can be read" if facts.faces else "it holds no surfaces"
             raise InputError(what, where=str(path), mend=_mend(facts))
-        warnings += _losses(facts, count)
+        warnings += _losses(facts, wrong, count)
         names = face_names(document)
     return OcctPart(document, path, "step", unit, warnings=warnings, schema=facts.schema, names=names)
 
@@ -87,13 +100,15 @@ def _mend(facts: StepFacts) -> str:
     return "export surfaces or solids from the CAD system"
 
 
-def _losses(facts: StepFacts, count: int) -> list[str]:
+def _losses(facts: StepFacts, wrong: int, count: int) -> list[str]:
     """What of the file did not arrive."""
     lines = []
     if not facts.complete:
         lines.append("the file breaks off before its end; what stands in it was read")
     if facts.damaged:
         lines.append(f"{facts.damaged} entities of the file are damaged or refer to entities that are not there")
+    elif wrong:
+        lines.append(f"{wrong} entities of the file are not what the standard asks; the CAD kernel took what it could")
     if count < facts.faces:
         lines.append(f"the file holds {facts.faces} faces, {count} could be read")
     return lines

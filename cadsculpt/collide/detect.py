@@ -301,20 +301,16 @@ def _field_contacts(run: _Run, index: int, tool: FieldTool) -> list[Contacts]:
         if not len(cells):
             continue
         margin = run.options.margin
-        known = work.new_mark()
-        names = np.sort(levels.vertices_of(g, cells, known))
+        names = np.sort(levels.vertices_of(g, cells, work.new_mark()))
         depth = -tool.field.distance(g.points[names])
-        if not run.paper:
-            quadrature.set_depths(g, names, depth)
         hit = ~(depth < -margin)
-        names, depth = names[hit], depth[hit]
-        if len(names):
-            uv, points, area = quadrature.vertex_rows(g, names)
-            parts.append(_field_rows(run, index, int(face), tool.field, uv, points, depth, area))
+        if hit.any():
+            uv, points, area = quadrature.vertex_rows(g, names[hit])
+            parts.append(_field_rows(run, index, int(face), tool.field, uv, points, depth[hit], area))
         if run.paper:
             continue
         # cells that the tool may reach between the vertices, away from those it is known to touch
-        left = quadrature.unresolved(g, cells, margin, known, work.new_mark())
+        left = quadrature.unresolved(g, cells, margin, names, depth, work.new_mark())
         if len(left):
             uv, points, area = quadrature.below_grid(g, left, tool.field.distance, margin, _finest(run, g))
             on = _on_face(run.grids[face], uv)
@@ -336,12 +332,10 @@ def _field_cells(run: _Run, g: Patch, work: Workspace, tool: DistanceField) -> I
         centre = 0.5 * (work.extent[0] + work.extent[1])
         within = bool(tool.distance(centre[None])[0] <= 0.5 * np.linalg.norm(work.extent[1] - work.extent[0]))
         window = hull.paper_window(work.grid.surface, g, meets, within)
-        cells = levels.chosen_spans(g, window)
     else:
-        cells = levels.covered_spans(g)
+        window = levels.ALL_SPANS
+    cells, centre, radius = levels.covered_spans(g, window)
     ended = len(cells) == 0
-    if not ended:
-        centre, radius = levels.spheres_of(g, cells)
     while not ended:
         cells, centre, radius, ended = levels.refine(g, cells, tool.distance(centre), run.options.margin)
     return cells
@@ -417,11 +411,11 @@ def _span_pairs(
                 return np.array([not hull.apart(np.ascontiguousarray(f), away, np.zeros(3), 0.0) for f in facets])
 
             windows.append(np.flatnonzero(hull.paper_window(own.grid.surface, patch, meets, True) & own.grid.covers[: len(patch.box)]))
-        for own, patch in ((work, g), (other, h)):
-            levels.covered_spans(patch)
+        for patch in (g, h):
+            levels.covered_spans(patch, levels.ALL_SPANS)
         return np.stack(np.meshgrid(*windows, indexing="ij"), axis=-1).reshape(-1, 2)
     for patch in (g, h):
-        levels.covered_spans(patch)
+        levels.covered_spans(patch, levels.ALL_SPANS)
     pairs = np.empty((1024, 2), np.int64)
     count = hull.span_pairs(g, h, run.options.margin, pairs)
     if count > len(pairs):
@@ -458,6 +452,7 @@ def _closest_contacts(
     columns = len(g.v)
     wave = np.concatenate([*(levels.vertices_of(g, part, known) for part in cells), np.zeros(0, np.int64)])
     found: list[tuple[Index, _Nearest]] = []
+    tested: list[tuple[Index, Array]] = []
     if not run.paper:
         # where no sphere meets another, the patch may lie wholly inside the tool; any one vertex of it tells
         inner = np.flatnonzero(g.inside)[:1]
@@ -468,8 +463,8 @@ def _closest_contacts(
     while len(wave):
         names, group = quadrature.in_blocks(wave, columns)
         nearest = _nearest(tool, patches, g.points[names], group, tie, 1.1 * margin + 1e-300)
-        quadrature.set_depths(g, names, nearest.depth)
         hit = ~(nearest.depth < -margin)
+        tested.append((names, nearest.depth))
         wave = wave[:0]
         if hit.any():
             found.append((names[hit], nearest.chosen(hit)))
@@ -483,7 +478,8 @@ def _closest_contacts(
         parts.append(run.rows(index, face, uv, points, -nearest.normal, nearest.depth, area, nearest.point))
     if run.paper or not cells:
         return parts
-    left = quadrature.unresolved(g, np.concatenate(cells), margin, known, work.new_mark())
+    names, depths = np.concatenate([n for n, _ in tested]), np.concatenate([d for _, d in tested])
+    left = quadrature.unresolved(g, np.concatenate(cells), margin, names, depths, work.new_mark())
     if len(left):
 
         def distance(points: Array) -> Array:
@@ -564,7 +560,6 @@ def _point_contacts(run: _Run, index: int, tool: PointTool) -> list[Contacts]:
     group = np.array([0, 1])
     for face in near:
         work, g = run.model(int(face))
-        levels.covered_spans(g)
         before = best.copy(), state.copy(), owner.copy()
         project(g, position[None], group, EDGE * size, np.inf, int(face), best, state, owner)
         if owner[0] == face and not _on_face(run.grids[face], best[:, [U, V]])[0]:
@@ -588,8 +583,7 @@ def _point_contacts(run: _Run, index: int, tool: PointTool) -> list[Contacts]:
 def _in_sphere(run: _Run, face: int, position: Array) -> bool:
     """The paper's own condition: the point lies in a sphere of every level, down to the finest."""
     _, g = run.model(face)
-    cells = levels.covered_spans(g)
-    centre, _ = levels.spheres_of(g, cells)
+    cells, centre, _ = levels.covered_spans(g, levels.ALL_SPANS)
     ended = False
     while not ended and len(cells):
         distance = np.linalg.norm(centre - position, axis=1)

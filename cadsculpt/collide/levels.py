@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+ALL_SPANS = np.zeros(0, dtype=np.bool_)
+"""No window: every span."""
+
 LAST_ROWS = 4
 """Against an implicit tool, cells of up to this many rows and columns give up their vertices at once: a vertex costs a third of
 a sphere, so that finer spheres would cost more than they save."""
@@ -31,33 +34,6 @@ ALL_MET_ROWS = 16
 
 SIZES = 2.0
 """Of two intersecting spheres only the larger is refined when it is this many times larger (certified mode)."""
-
-
-@njit
-def covered_spans(g: Patch) -> Index:
-    """Level 0: the cells (0, ku, kv) of all knot spans that the face reaches, with their spheres."""
-    cells = np.empty((g.count[0, 0] * g.count[0, 1], 3), np.int64)
-    count = 0
-    for k in range(len(cells)):
-        if g.covers[k]:
-            cells[count, 0], cells[count, 1], cells[count, 2] = 0, k // g.count[0, 1], k % g.count[0, 1]
-            count += 1
-    make_spheres(g, cells, count)
-    g.counters[1] += count
-    return cells[:count]
-
-
-@njit
-def chosen_spans(g: Patch, window: Mask) -> Index:
-    """The cells (0, ku, kv) of the spans of a window (spans,), with their spheres."""
-    cells = covered_spans(g)
-    count = 0
-    for t in range(len(cells)):
-        if window[cells[t, 1] * g.count[0, 1] + cells[t, 2]]:
-            for c in range(3):
-                cells[count, c] = cells[t, c]
-            count += 1
-    return cells[:count]
 
 
 @njit
@@ -71,6 +47,24 @@ def spheres_of(g: Patch, cells: Index) -> tuple[Array, Array]:
             centre[t, c] = spheres[at, c]
         radius[t] = spheres[at, 3]
     return centre, radius
+
+
+@njit
+def covered_spans(g: Patch, window: Mask) -> tuple[Index, Array, Array]:
+    """Level 0: the cells (0, ku, kv) of the knot spans that the face reaches, with their spheres' centres and radii.
+
+    window (spans,) : those to take; empty for all.
+    """
+    cells = np.empty((g.count[0, 0] * g.count[0, 1], 3), np.int64)
+    count = 0
+    for k in range(len(cells)):
+        if g.covers[k] and (len(window) == 0 or window[k]):
+            cells[count, 0], cells[count, 1], cells[count, 2] = 0, k // g.count[0, 1], k % g.count[0, 1]
+            count += 1
+    make_spheres(g, cells, count)
+    g.counters[1] += count
+    centre, radius = spheres_of(g, cells[:count])
+    return cells[:count], centre, radius
 
 
 @njit

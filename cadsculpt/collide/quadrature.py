@@ -148,14 +148,6 @@ def spread(g: Patch, names: Index, mark: int) -> Index:
     return names
 
 
-@njit
-def set_depths(g: Patch, names: Index, depth: Array) -> None:
-    """Note the depths (n,) of vertices in g.depth; -inf where the tool is on no side."""
-    values = g.depth
-    for t in range(len(names)):
-        values[names[t]] = depth[t]
-
-
 def in_blocks(names: Index, columns: int) -> tuple[Index, Index]:
     """The names ordered by blocks of neighbours, and where each block starts (blocks + 1,)."""
     key = (names // columns // BLOCK) * (columns // BLOCK + 1) + names % columns // BLOCK
@@ -165,11 +157,11 @@ def in_blocks(names: Index, columns: int) -> tuple[Index, Index]:
 
 
 @njit
-def unresolved(g: Patch, cells: Index, margin: float, known: int, mark: int) -> Index:
+def unresolved(g: Patch, cells: Index, margin: float, names: Index, depths: Array, mark: int) -> Index:
     """The finest cells (i, j) of `cells` (level, ku, kv) that the tool may reach between their vertices, without a contact in
     any cell connected to them by such cells.
 
-    The depths of vertices that carry `known` in g.visit are known. A cell is out of reach when one of its vertices is farther
+    names, depths (n,) : vertices of known depth, -inf where the tool is on no side. A cell is out of reach when one of its vertices is farther
     from the tool than from any point of the cell (its longest chord and its sag). mark : a number new to g.visit.
     """
     m, n, tick = len(g.u), len(g.v), g.tick
@@ -179,7 +171,10 @@ def unresolved(g: Patch, cells: Index, margin: float, known: int, mark: int) -> 
     ids = np.empty(4, np.int64)
     maybe = np.empty((256, 6), np.int64)
     count = 0
-    # touched vertices get mark + 1: the known ones in contact, then all of cells that they are connected to
+    for t in range(len(names)):
+        depth[names[t]] = depths[t]
+        visit[names[t]] = mark
+    # vertices of touched cells get mark + 1, and so do those of all cells that are connected to these
     for t in range(len(cells)):
         level, ku, kv = cells[t, 0], cells[t, 1], cells[t, 2]
         i0, i1, j0, j1 = row_u[level, ku], row_u[level, ku + 1], row_v[level, kv], row_v[level, kv + 1]
@@ -191,7 +186,7 @@ def unresolved(g: Patch, cells: Index, margin: float, known: int, mark: int) -> 
                 for c in range(4):
                     ids[c] = canonical(i + (c & 1), j + (c >> 1), m, n, wrap_u, wrap_v, poles)
                     complete = complete and stamp[ids[c]] == tick
-                    if visit[ids[c]] >= known:
+                    if visit[ids[c]] >= mark:
                         touched = touched or not depth[ids[c]] < -margin
                         farthest = max(farthest, -depth[ids[c]])
                 if complete and not touched:
@@ -213,7 +208,7 @@ def unresolved(g: Patch, cells: Index, margin: float, known: int, mark: int) -> 
                 for c in range(4):
                     maybe[count, 2 + c] = ids[c]
                     if touched:
-                        visit[ids[c]] = mark
+                        visit[ids[c]] = mark + 1
                 count += 1
     changed, forward, left = True, True, count
     while changed and left > 0:
@@ -224,13 +219,13 @@ def unresolved(g: Patch, cells: Index, margin: float, known: int, mark: int) -> 
                 continue
             met = False
             for c in range(4):
-                met = met or visit[maybe[t, 2 + c]] == mark
+                met = met or visit[maybe[t, 2 + c]] == mark + 1
             if met:
                 maybe[t, 0] = -1
                 left -= 1
                 changed = True
                 for c in range(4):
-                    visit[maybe[t, 2 + c]] = mark
+                    visit[maybe[t, 2 + c]] = mark + 1
         forward = not forward
     out = np.empty((left, 2), np.int64)
     total = 0

@@ -40,6 +40,9 @@ STIFFNESS_RATIO = 100.0
 """k_n over E / spacing: a dent one node spacing wide is 100 times stiffer to the contact than to the material, so that the
 residual penetration is about 1 % of the narrowest dents' depth and far less of wide ones'."""
 
+MOST_CORRECTIONS = 8
+"""Corrections, per sub-step, of which parts of the contacts press: Newton's method on a convex function, done in two or three."""
+
 DAMPING_RATIO = 0.5
 """c_n as a fraction of critical for the contact's own spring under half a cell's mass: a tool that lands does not bounce."""
 
@@ -152,13 +155,13 @@ def press(
     for m in range(len(distinct)):
         for a in range(3):
             nodal[m, 9 + a] = velocity[a, distinct[m] + 1]
-    # the parts that press are first judged by the velocity before, and once more by the one that comes out
+    # the parts that press are first judged by the velocity before, then by those that come out, until nothing changes
     _mark(distinct, local, weights, normal, area, stiffness, damping, tool, depth, h, before, nodal, marks)
-    for corrections in (True, False):
+    for correction in range(MOST_CORRECTIONS + 1):
         _solve_nodes(distinct, inverse_mass, nodal, velocity)
         if _settle(
-            distinct, local, weights, normal, area, stiffness, damping, tool, depth, h, velocity, corrections, nodal, marks,
-            impulse,
+            distinct, local, weights, normal, area, stiffness, damping, tool, depth, h, velocity, correction < MOST_CORRECTIONS, nodal,
+            marks, impulse,
         ):  # fmt: skip
             break
 

@@ -15,7 +15,9 @@ from cadsculpt.spline.surface import BSplineSurface
 PLACES = [(10.0 * i - 30.0, 12.0 * j - 6.0) for j in range(2) for i in range(7)]
 """(x, y) of the touches, mm."""
 
-DEPTH, CLEAR, DOWN, UP = 0.4, 3.0, 0.012, 0.008
+DEPTH, NEAR, DOWN, UP, OVER = 0.4, 1.0, 0.012, 0.008, 0.008
+SAFE = 13.0
+"""Height at which the stylus goes from place to place: above the whole dome, mm."""
 
 
 def dome() -> BSplineSurface:
@@ -35,12 +37,13 @@ def height(surface: BSplineSurface, x: float, y: float) -> float:
 
 
 def rows(surface: BSplineSurface) -> list[tuple[float, float, float, float]]:
-    """t, x, y, z: above each place, down into it, up again."""
+    """t, x, y, z: over each place, down into it, up again, over to the next."""
     t, path = 0.0, []
     for x, y in PLACES:
         z = height(surface, x, y)
-        path += [(t, x, y, z + CLEAR), (t + DOWN, x, y, z - DEPTH), (t + DOWN + UP, x, y, z + CLEAR)]
-        t += DOWN + 2.0 * UP
+        path += [(t, x, y, SAFE), (t + UP, x, y, z + NEAR), (t + UP + DOWN, x, y, z - DEPTH)]
+        path.append((t + 2 * UP + DOWN, x, y, SAFE))
+        t += 2 * UP + DOWN + OVER
     return path
 
 
