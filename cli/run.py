@@ -99,11 +99,10 @@ def print_summary(document: dict[str, Any], folder: Path) -> None:
 
 def words(entry: dict[str, Any]) -> str:
     """An expectation of result.json in words: "max_force of thumb and panel: at most 3"."""
-    from ..formats.result_json import condition_in_words
+    from ..expect import condition_in_words
 
     of = f" of {' and '.join(entry['pair'])}" if entry.get("pair") else ""
-    expected = entry["expected"]
-    return f"{entry['what']}{of}: {expected if isinstance(expected, str) else condition_in_words(expected)}"
+    return f"{entry['what']}{of}: {condition_in_words(entry['expected'])}"
 
 
 def measured(entry: dict[str, Any]) -> str:

@@ -7,14 +7,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from ..errors import CadsculptError, InputError, SceneError
-from .result_json import Case, Expectation
+from ..expect import Expectation
+from .result_json import Case
 from .toml_file import read as read_toml
-
-TESTS = ("between", "at_most", "at_least", "equals", "tolerance", "never")
-"""Keys of an [[expect]] table that make its condition."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,17 +89,7 @@ def _run(path: Path, on_progress: Callable[[int, int], None] | None) -> tuple[st
 
     scene = SceneFile.load(path)
     result = run(load(scene).model, hooks=Hooks(on_progress=on_progress))
-    expectations = tuple(
-        Expectation(spec.what, condition(spec), measured.measured, measured.ok, spec.pair or ())
-        for spec, measured in zip(scene.expect, result.expectations, strict=True)
-    )
-    return scene.name, expectations, result.failure
-
-
-def condition(spec: Any) -> dict[str, Any]:
-    """The condition of an [[expect]] table as it stands there, such as {"between": [0.7, 0.75]}."""
-    written = {key: getattr(spec, key) for key in TESTS if getattr(spec, key) is not None}
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in written.items()}
+    return scene.name, result.expectations, result.failure
 
 
 NOTHING = "it expects nothing"

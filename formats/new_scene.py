@@ -182,9 +182,8 @@ def _confirmed(press: Press, shape: str, part: Part, path: Path, out: Path) -> N
 
 
 def _thinner(press: Press) -> Press:
-    thickness = 0.6 * press.thickness
-    depth = min(press.depth, 0.5 * thickness)
-    return replace(press, thickness=thickness, depth=depth, end=press.end + press.depth - depth)
+    depth = 0.6 * press.depth
+    return replace(press, thickness=0.6 * press.thickness, depth=depth, end=press.end + press.depth - depth)
 
 
 def _fault(loaded: Loaded, pressed: float) -> str:
@@ -245,6 +244,7 @@ def _values(press: Press, shape: str, part: Part, path: Path, out: Path) -> dict
         ],
         "tool": [{"name": shape, "shape": shape, **sizes, "path": rows}],
         "solver": {"step": "auto", "resolution": _resolution(press)},
+        "refit": {"tolerance": length(press.depth / 40.0)},
         "output": {"cad": own.get(part.format, ["json"]), "frames_per_second": significant(40.0 / times[-1], 2)},
     }
 

@@ -28,7 +28,6 @@ from ..spline.surface import BSplineSurface, Provenance, TrimCurve, TrimLoop
 from ..units import METRES_PER_UNIT, unit_name
 from .json_text import load, numbers
 from .part import Part
-from .patch_part import PatchPart
 
 Array = NDArray[np.float64]
 
@@ -57,6 +56,8 @@ def read(path: Path) -> Part:
         from .geomdl_json import part_of_document
 
         return part_of_document(document, path)
+    from .patch_part import PatchPart
+
     try:
         units, surfaces = surfaces_of_document(document, path.name)
     except CadsculptError as error:

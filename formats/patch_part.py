@@ -38,9 +38,9 @@ class PatchFace(Face):
 
     @property
     def bbox(self) -> tuple[float, float, float, float, float, float]:
+        from .face_box import face_box
         from .occt_quiet import quiet
         from .occt_shape import shape_of_surface
-        from .rhino_shape import face_box
 
         with quiet():
             return face_box(shape_of_surface(self.surface))

@@ -30,6 +30,10 @@ USUAL_NODES, MOST_NODES = 4000, 12000
 DEEP = 0.05
 """How deep the tool presses, as a fraction of the face's size."""
 
+THICK = 2.2
+"""Thickness of the material over the depth of the press: about as thick as the dent is half wide, so that all layers give
+way alike. Below a dent that is narrow for its thickness the topmost cells are crushed flat alone."""
+
 LAYERS = (2, 5)
 FLATTEST = 10.0
 """A cell is at most this many times wider than it is high."""
@@ -68,10 +72,10 @@ def wanted(seen: FaceSurvey, spot: Spot) -> Press | None:
     None where nothing can be pressed, or where the lattice would have to be so thin that its cells are mere flakes.
     """
     scale = min(0.4 * spot.room, 0.7 * spot.free_radius)
-    depth = min(DEEP * min(seen.size, 3.0 * spot.room), 0.45 * scale, 0.3 * seen.fold)
+    depth = min(DEEP * min(seen.size, 3.0 * spot.room), 0.45 * scale, 0.65 * seen.fold / THICK)
     if not depth > 0.0:
         return None
-    thickness = min(2.2 * depth, 0.65 * seen.fold)
+    thickness = THICK * depth
     sized = Press(seen, spot, scale, depth, 0.0, 0.0, thickness, 1.0, 0.0)
     spacing = _spacing(seen, sized.half_width)
     if spacing > FLATTEST * thickness / LAYERS[0]:

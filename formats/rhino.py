@@ -62,7 +62,7 @@ class RhinoFace(Face):
 
     @property
     def bbox(self) -> tuple[float, float, float, float, float, float]:
-        from .rhino_shape import face_box
+        from .face_box import face_box
 
         made = self._part.shape_of(self._body)
         if self._index in made.lost:
@@ -225,7 +225,7 @@ class RhinoPart(Part):
             torn = follow(body).torn
             if torn:
                 self.warnings.append(
-                    f"{body.place.name}: {len(torn)} edges shared with faces that stay were left by up to "
+                    f"{body.place.name}: sculpted faces left edges that other faces hold ({len(torn)}), by up to "
                     f"{max(torn.values()):.3g} mm"
                 )
 
@@ -281,7 +281,7 @@ class RhinoPart(Part):
             made = [(body, self.shape_of(body)) for body in self.bodies]
             lost = [self.faces.number(body.first + i).name for body, shape in made for i in shape.lost]
             if lost:
-                self.warnings.append(f"{len(lost)} faces are not in {Path(path).name}: {', '.join(lost[:5])}")
+                self.warnings.append(f"not in {Path(path).name} ({len(lost)}): {', '.join(lost[:5])}")
             document_of_shapes(
                 [(body.place.name, shape.shape) for body, shape in made if shape.faces],
                 self.units,

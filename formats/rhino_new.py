@@ -133,7 +133,7 @@ def _things(part: Part) -> Iterator[tuple[str, Any]]:
             yield surface.name, alone
     if untrimmed:
         names = ", ".join(untrimmed[:5]) + (", ..." if len(untrimmed) > 5 else "")
-        part.warnings.append(f"{len(untrimmed)} faces are in the 3DM file without their trims: {names}")
+        part.warnings.append(f"in the 3DM file without their trims ({len(untrimmed)}): {names}")
 
 
 def _valid_surface(surface: BSplineSurface) -> Any:

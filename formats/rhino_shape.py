@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from OCP.Bnd import Bnd_Box
 from OCP.BRep import BRep_Builder
-from OCP.BRepBndLib import BRepBndLib
 from OCP.TopoDS import TopoDS_Edge, TopoDS_Face, TopoDS_Shape, TopoDS_Shell, TopoDS_Solid, TopoDS_Vertex
 
 from ..errors import CadsculptError
 from ..spline.surface import TrimCurve
-from .occt_quiet import quiet
 from .occt_shape import WireEdge, edge, face_with_wires, spline_curve, vertex
 from .occt_tolerance import CONFUSION, unify_parameters
 from .occt_trim import trim_domain
@@ -112,15 +109,3 @@ def _twin(body: Body, record: Trim) -> Trim | None:
 def _paced(curve: TrimCurve, domain: tuple[float, float]) -> TrimCurve:
     """A trim curve run over the edge's parameter range."""
     return TrimCurve(curve.control_points, stretched(curve.knots, *domain), curve.degree, curve.weights)
-
-
-# ------------------------------------------------------------------- measuring
-
-
-def face_box(face: TopoDS_Face) -> tuple[float, float, float, float, float, float]:
-    """Tight bounding box of a trimmed face, mm."""
-    box = Bnd_Box()
-    with quiet():
-        BRepBndLib.AddOptimal_s(face, box, False, False)
-    low, high = box.CornerMin(), box.CornerMax()
-    return low.X(), low.Y(), low.Z(), high.X(), high.Y(), high.Z()

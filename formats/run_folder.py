@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..collide.contacts import Contacts
-from ..errors import InputError
+from ..errors import CadsculptError, InputError
 from ..frames import FrameMaker
 from ..record import ContactRecord, Frame, StepRecord
 from ..run import Hooks, RunResult, run
@@ -86,21 +89,42 @@ def run_scene(
     loaded = load(scene, on_file=lambda name: tell(Progress("reading", note=name)))
     tell(Progress("preparing"))
     writing = _Writing(partial, loaded, _scene_hash(scene), resumed=resume)
-    state = writing.open()
-    session = Session(loaded.model, clock=time.perf_counter)
-    writing.start(session)
-    result = run(
-        session,
-        hooks=Hooks(
-            on_step=writing.step,
-            on_frame=writing.frame,
-            on_progress=lambda done, total: tell(Progress("running", done, total)),
-            on_checkpoint=writing.checkpoint,
-        ),
-        resume=state,
-    )
+    try:
+        state = writing.open()
+        session = Session(loaded.model, clock=time.perf_counter)
+        writing.start(session)
+        with _deferred_interrupt() as interrupted:
+
+            def progress(done: int, total: int) -> None:
+                tell(Progress("running", done, total))
+
+            def checkpoint(step: int, arrays: Callable[[], dict[str, Array]]) -> None:
+                writing.checkpoint(arrays, now=interrupted())
+                if interrupted():
+                    raise KeyboardInterrupt
+
+            hooks = Hooks(writing.step, writing.frame, progress, checkpoint)
+            result = run(session, hooks=hooks, resume=state)
+        document = _finish(writing, scene, result, compile_s, started, tell)
+    except BaseException:
+        writing.give_up()
+        raise
+    writing.finish(folder, force=force)
+    return RunOutcome(result, result_object(document), folder, document.warnings)
+
+
+def _finish(
+    writing: _Writing,
+    scene: SceneFile,
+    result: RunResult,
+    compile_s: float,
+    started: float,
+    tell: Callable[[Progress], None],
+) -> Result:
+    """Write everything that a finished run leaves behind."""
     tell(Progress("writing"))
-    warnings = [*loaded.warnings, *result.warnings, *writing.results(result)]
+    session = result.session
+    warnings = [*writing.loaded.warnings, *result.warnings, *writing.results(result)]
     if scene.output.pictures:
         tell(Progress("pictures"))
         warnings += writing.pictures()
@@ -120,13 +144,36 @@ def run_scene(
             phases_ms={phase: float(1e3 * np.median(seconds)) for phase, seconds in timing.items() if seconds},
         ),
         inputs=hashed(scene.folder, [scene.path, *scene.sources()]),
-        outputs=hashed(partial, writing.files),
+        outputs=hashed(writing.folder, writing.files),
         warnings=tuple(dict.fromkeys([*warnings, *([result.failure] if result.failure else [])])),
     )
-    write_result(partial / "result.json", document)
-    write_report(partial)
-    writing.finish(folder, force=force)
-    return RunOutcome(result, result_object(document), folder, document.warnings)
+    write_result(writing.folder / "result.json", document)
+    write_report(writing.folder)
+    return document
+
+
+@contextmanager
+def _deferred_interrupt() -> Iterator[Callable[[], bool]]:
+    """While a run steps, the first Ctrl-C waits for the end of the step, so that a checkpoint can be written.
+
+    Yields a function that tells whether there was one. A second Ctrl-C stops at once. Outside the main thread signals
+    are left alone.
+    """
+    seen = [False]
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def note(number: int, frame: object) -> None:
+        seen[0] = True
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: seen[0]
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _make_room(folder: Path, partial: Path, *, force: bool, resume: bool) -> None:
@@ -176,6 +223,9 @@ class _Writing:
     _frames: list[tuple[float, str]] = field(default_factory=list)
     _saved: int = 0
     _last: float = field(default_factory=time.perf_counter)
+    stepped: bool = False
+    """All steps are done: the state is whole, whatever fails from here on."""
+    _latest: Callable[[], dict[str, Array]] | None = None
     _series: SeriesWriter | None = None
     _background: list[FaceMesh] = field(default_factory=list)
     _outlines: dict[str, list[Array]] = field(default_factory=dict)
@@ -213,12 +263,12 @@ class _Writing:
         assert self._series is not None
         self._series.add(frame)
 
-    def checkpoint(self, step: int, arrays: Callable[[], dict[str, Array]]) -> None:
-        """Every few seconds: the records since the last time, then the state that they lead to."""
-        now = time.perf_counter()
-        if now - self._last < CHECKPOINT_SECONDS:
+    def checkpoint(self, arrays: Callable[[], dict[str, Array]], *, now: bool = False) -> None:
+        """Every few seconds, or now: the records since the last time, then the state that they lead to."""
+        self._latest = arrays
+        if not now and time.perf_counter() - self._last < CHECKPOINT_SECONDS:
             return
-        self._last = now
+        self._last = time.perf_counter()
         self._spool()
         assert self._series is not None
         entries = self._series.entries
@@ -265,10 +315,19 @@ class _Writing:
         self._steps.clear()
         self._contacts.clear()
 
+    def give_up(self) -> None:
+        """After a failure: keep what `resume` can go on from, and nothing else."""
+        if self.stepped and self._latest is not None:
+            with suppress(CadsculptError, OSError):
+                self.checkpoint(self._latest, now=True)
+        if not (self.folder / "checkpoint.npz").exists():
+            shutil.rmtree(self.folder, ignore_errors=True)
+
     # ------------------------------------------------------------ when it is over
 
     def results(self, result: RunResult) -> list[str]:
         """Tables, lattice, CAD files. Returns warnings."""
+        self.stepped = True
         self._spool()
         model = self.loaded.model
         names = [*model.bodies]

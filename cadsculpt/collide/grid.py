@@ -315,10 +315,11 @@ def extent_of(net: Array, out: Array) -> None:
         for j in range(net.shape[1]):
             for c in range(3):
                 x = net[i, j, c]
-                if not x >= out[0, c]:
-                    out[0, c] = x
-                if not x <= out[1, c]:
-                    out[1, c] = x
+                if np.isnan(x):
+                    out[:] = np.nan
+                    return
+                out[0, c] = min(out[0, c], x)
+                out[1, c] = max(out[1, c], x)
 
 
 @njit

@@ -34,11 +34,12 @@ CLOSEST = 0.97
 """Share of the bound as the lattice is now that the automatic sub-step may take before it is cut."""
 
 CUT = 0.84
-"""The automatic sub-step is that at rest times a power of this: a symplectic rule whose step followed every small motion would
-gain energy."""
+"""The automatic sub-step is that at rest times a power of this: a symplectic rule whose step followed every small
+motion would gain energy."""
 
 MOST_STRETCH = 0.5
-"""A spring that changes by this share of its length within one sub-step moves faster than sound in the material does."""
+"""A spring that changes by this share of its length within one sub-step moves faster than sound in the material
+does."""
 
 
 @dataclass(slots=True, eq=False)
@@ -72,9 +73,9 @@ class LatticeState:
 class ContactLoad:
     """n contacts that act on one lattice during one step.
 
-    nodes, weights (n, 4) : from `node_weights`. normal (n, 3) : out of the model. depth (n,) : at the start of the step,
-    negative while the tool is still away [L]. area (n,) [L^2]. velocity (n, 3) : the tool's at the contact [L/s].
-    stiffness, damping (n,) : k_n [N/L^3] and c_n [N s/L^3]. friction (n,) : mu.
+    nodes, weights (n, 4) : from `node_weights`. normal (n, 3) : out of the model. depth (n,) : at the start of the
+    step, negative while the tool is still away [L]. area (n,) [L^2]. velocity (n, 3) : the tool's at the contact
+    [L/s]. stiffness, damping (n,) : k_n [N/L^3] and c_n [N s/L^3]. friction (n,) : mu.
     """
 
     nodes: Index
@@ -90,7 +91,8 @@ class ContactLoad:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepForces:
-    """What a step did: per contact the mean_force and end_force (n, 3) on the model [N], and the depth (n,) at its end [L].
+    """What a step did: per contact the mean_force and end_force (n, 3) on the model [N], and the depth (n,) at its
+    end [L].
 
     max_speed : of any node at the end [L/s]. substep [s], substeps : how the step was cut.
     """
@@ -106,8 +108,8 @@ class StepForces:
 def stable_substep(lattice: Lattice, state: LatticeState | None = None, *, safety: float = SAFETY) -> float:
     """The largest sub-step [s] for the lattice as it is in `state` (None: at rest), times `safety`.
 
-    From a bound of the highest frequency (springs.highest_frequency) and the damping; contacts do not enter it. Infinite for
-    a lattice without a free node.
+    From a bound of the highest frequency (springs.highest_frequency) and the damping; contacts do not enter it.
+    Infinite for a lattice without a free node.
     """
     square = lattice.highest_frequency
     if state is not None:
@@ -130,8 +132,9 @@ def advance(
 ) -> StepForces:
     """Integrate eq. 4 over dt seconds in equal sub-steps; `state` is changed in place.
 
-    substep : the longest allowed, None for the automatic one, which is stable. external (N, 3) : further nodal forces [N], constant.
-    During the step each contact's plane moves with its tool: depth(t) = depth + normal . (x_c(t) - x_c(0) - velocity t).
+    substep : the longest allowed, None for the automatic one, which is stable. external (N, 3) : further nodal forces
+    [N], constant. During the step each contact's plane moves with its tool: depth(t) = depth + normal . (x_c(t) -
+    x_c(0) - velocity t).
 
     Raises InputError for a substep that is not stable, naming the largest that is, and SimulationError when the lattice
     moves faster than sound or a number overflows; the state is then as it was.
@@ -243,7 +246,9 @@ def _advance(
     h: float,
     count: int,
 ) -> None:
-    """`count` sub-steps of h seconds. The new positions and velocities are left in rows 0 to 2 and 3 to 5 of scratch."""
+    """`count` sub-steps of h seconds. The new positions and velocities are left in rows 0 to 2 and 3 to 5 of
+    scratch.
+    """
     size = len(inverse_mass)
     contacts = len(nodes)
     x, v, f, work = scratch[0:3], scratch[3:6], scratch[6:9], scratch[9:11]
@@ -268,8 +273,8 @@ def _advance(
         if contacts:
             # f now holds the velocities before the sub-step
             press(
-                distinct, local, weights, normal, area, contact_stiffness, contact_damping, tool, depth, inverse_mass, h, f, v,
-                nodal, marks, impulse,
+                distinct, local, weights, normal, area, contact_stiffness, contact_damping, tool, depth, inverse_mass,
+                h, f, v, nodal, marks, impulse,
             )  # fmt: skip
             rub(distinct, local, normal, tool, friction, inverse_mass, impulse, v, nodal, rubbing)
         for a in range(3):

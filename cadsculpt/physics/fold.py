@@ -23,15 +23,16 @@ def check_folds(
     wrap: tuple[bool, bool],
     columns: NDArray[np.bool_],
 ) -> bool:
-    """Make sure that every corner of every hexahedron has a positive Jacobian. Returns whether (u, v, inward) is right-handed.
+    """Make sure that every corner of every hexahedron has a positive Jacobian. Returns whether (u, v, inward) is
+    right-handed.
 
-    points, inward (nu, nv, 3); columns (cu, cv) : which columns of cells exist. At depth t below a corner of a column the
-    edges along u and v are du + t nu and dv + t nv (n the difference of the normals), so that the Jacobian there is a
-    quadratic in t; its first root, over all corners, is the largest thickness that works. Corners on an edge that has no
-    length (a pole) have no area to lose.
+    points, inward (nu, nv, 3); columns (cu, cv) : which columns of cells exist. At depth t below a corner of a column
+    the edges along u and v are du + t nu and dv + t nv (n the difference of the normals), so that the Jacobian there
+    is a quadratic in t; its first root, over all corners, is the largest thickness that works. Corners on an edge
+    that has no length (a pole) have no area to lose.
 
-    Raises InputError where the thickness is too large, naming (u, v) and a thickness that does, and where the surface itself
-    turns over.
+    Raises InputError where the thickness is too large, naming (u, v) and a thickness that does, and where the surface
+    itself turns over.
     """
     shape = columns.shape
     after = [(np.arange(shape[axis]) + 1) % points.shape[axis] for axis in (0, 1)]

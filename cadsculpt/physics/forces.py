@@ -5,19 +5,20 @@ A contact that stands for the area A of the surface, d deep in a tool that moves
     p = A max(0, k_n d + c_n d')                                    along the inward normal, and rubs with
     |f| <= mu p                                                     against the slip (Coulomb).
 
-k_n [N/L^3] and c_n [N s/L^3] are per area, so that the force does not depend on how finely the surface is sampled. The force
-goes to the four nodes around (u, v) with bilinear weights.
+k_n [N/L^3] and c_n [N s/L^3] are per area, so that the force does not depend on how finely the surface is sampled.
+The force goes to the four nodes around (u, v) with bilinear weights.
 
-Within a sub-step of h seconds the pressure is that at the sub-step's end, so that neither a stiff contact nor a small slip
-shortens it. Each node feels the contact with its own velocity v_i,
+Within a sub-step of h seconds the pressure is that at the sub-step's end, so that neither a stiff contact nor a small
+slip shortens it. Each node feels the contact with its own velocity v_i,
 
     p_ci = max(0, k_n (d_c + h n.(v_i - v_tool)) + c_n n.(v_i - v_tool)),    F_i = - sum_c w_ci A_c p_ci n_c,
 
-so that the nodes decouple: 3 x 3 equations (m_i + L_i) v_i = ..., L_i = sum h w A (h k_n + c_n) n n, after which the depth d_c
-follows the interpolated velocity. Once the nodes are at rest that is the contact law above, to the letter; in motion it is
-stable for any k_n and c_n, because L, with the weights lumped, is at least what the weights would give. A contact's force is
-the sum of what it gave to its four nodes, so that forces on both sides balance. Friction then stops the slip of each node in
-contact as far as mu times its pressure goes: Coulomb's law itself, with no slip speed to regularise it.
+so that the nodes decouple: 3 x 3 equations (m_i + L_i) v_i = ..., L_i = sum h w A (h k_n + c_n) n n, after which the
+depth d_c follows the interpolated velocity. Once the nodes are at rest that is the contact law above, to the letter;
+in motion it is stable for any k_n and c_n, because L, with the weights lumped, is at least what the weights would
+give. A contact's force is the sum of what it gave to its four nodes, so that forces on both sides balance. Friction
+then stops the slip of each node in contact as far as mu times its pressure goes: Coulomb's law itself, with no slip
+speed to regularise it.
 """
 
 from __future__ import annotations
@@ -37,14 +38,16 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 STIFFNESS_RATIO = 100.0
-"""k_n over E / spacing: a dent one node spacing wide is 100 times stiffer to the contact than to the material, so that the
-residual penetration is about 1 % of the narrowest dents' depth and far less of wide ones'."""
+"""k_n over E / spacing: a dent one node spacing wide is 100 times stiffer to the contact than to the material, so
+that the residual penetration is about 1 % of the narrowest dents' depth and far less of wide ones'."""
 
 MOST_CORRECTIONS = 8
-"""Corrections, per sub-step, of which parts of the contacts press: Newton's method on a convex function, done in two or three."""
+"""Corrections, per sub-step, of which parts of the contacts press: Newton's method on a convex function, done in two
+or three."""
 
 DAMPING_RATIO = 0.5
-"""c_n as a fraction of critical for the contact's own spring under half a cell's mass: a tool that lands does not bounce."""
+"""c_n as a fraction of critical for the contact's own spring under half a cell's mass: a tool that lands does not
+bounce."""
 
 
 def contact_stiffness(
@@ -68,9 +71,9 @@ def contact_damping(material: Material, stiffness: float, lattice: Lattice) -> f
 def node_weights(lattice: Lattice, u: ArrayLike, v: ArrayLike) -> tuple[Index, Array]:
     """The four surface nodes around each (u, v) and their bilinear weights: indices (n, 4) and weights (n, 4) of sum 1.
 
-    Around the seam in closed directions; outside the grid, those of its border. Nodes in no cell get weight 0 and the others
-    share it; where all four are in no cell, the nearest surface node that is in one gets all. Raises InputError for (u, v)
-    that are not finite.
+    Around the seam in closed directions; outside the grid, those of its border. Nodes in no cell get weight 0 and the
+    others share it; where all four are in no cell, the nearest surface node that is in one gets all. Raises
+    InputError for (u, v) that are not finite.
     """
     u, v = np.atleast_1d(np.asarray(u, dtype=np.float64)), np.atleast_1d(np.asarray(v, dtype=np.float64))
     if not (np.isfinite(u).all() and np.isfinite(v).all()):
@@ -103,7 +106,10 @@ def _nearest_active(lattice: Lattice, u: float, v: float) -> int:
     nu, nv, nl = lattice.shape
     nodes = np.flatnonzero(lattice.active.reshape(nu, nv, nl)[:, :, 0])
     gaps = []
-    for t, ends, period, index in ((u, lattice.u, lattice.period[0], nodes // nv), (v, lattice.v, lattice.period[1], nodes % nv)):
+    for t, ends, period, index in (
+        (u, lattice.u, lattice.period[0], nodes // nv),
+        (v, lattice.v, lattice.period[1], nodes % nv),
+    ):
         before, _, share = _between(ends, period, np.array([t]))
         gap = np.abs(index - (before[0] + share[0]))
         gaps.append(np.minimum(gap, len(ends) - gap) if period > 0.0 else gap)
@@ -112,7 +118,9 @@ def _nearest_active(lattice: Lattice, u: float, v: float) -> int:
 
 @njit
 def local_nodes(nodes: Index, size: int) -> tuple[Index, Index]:
-    """The distinct nodes that contacts (n, 4) touch, in order of appearance, and where each contact finds its four there."""
+    """The distinct nodes that contacts (n, 4) touch, in order of appearance, and where each contact finds its four
+    there.
+    """
     place = np.full(size, -1, dtype=np.int64)
     distinct = np.empty(nodes.size, dtype=np.int64)
     local = np.empty_like(nodes)
@@ -147,10 +155,11 @@ def press(
     marks: NDArray[np.bool_],
     impulse: Array,
 ) -> None:
-    """Normal contact forces at the end of a sub-step of h seconds: the nodes' velocities after them, the impulses (n, 4) [N s].
+    """Normal contact forces at the end of a sub-step of h seconds: the nodes' velocities after them, and the impulses.
 
-    distinct (m,), local (n, 4) : from `local_nodes`. depth (n,) : at the start of the sub-step. before, velocity (3, N + 2)
-    padded : at the start of the sub-step, and with all other forces applied; the latter is changed. nodal (m, 12), marks (n, 4) : workspace.
+    distinct (m,), local (n, 4) : from `local_nodes`. depth (n,) : at the start of the sub-step. before, velocity :
+    (3, N + 2) padded, at the start of the sub-step, and with all other forces applied; the latter is changed.
+    impulse (n, 4) [N s] is filled. nodal (m, 12), marks (n, 4) : workspace.
     """
     for m in range(len(distinct)):
         for a in range(3):
@@ -159,9 +168,10 @@ def press(
     _mark(distinct, local, weights, normal, area, stiffness, damping, tool, depth, h, before, nodal, marks)
     for correction in range(MOST_CORRECTIONS + 1):
         _solve_nodes(distinct, inverse_mass, nodal, velocity)
+        last = correction == MOST_CORRECTIONS
         if _settle(
-            distinct, local, weights, normal, area, stiffness, damping, tool, depth, h, velocity, correction < MOST_CORRECTIONS, nodal,
-            marks, impulse,
+            distinct, local, weights, normal, area, stiffness, damping, tool, depth, h, velocity, last, nodal, marks,
+            impulse,
         ):  # fmt: skip
             break
 
@@ -209,13 +219,14 @@ def _settle(
     depth: Array,
     h: float,
     velocity: Array,
-    corrections: bool,
+    last: bool,
     nodal: Array,
     marks: NDArray[np.bool_],
     impulse: Array,
 ) -> bool:
-    """Impulses (n, 4) of the marked parts at `velocity`. With `corrections`, parts marked wrongly are corrected in marks, L and
-    b; returns whether there were none.
+    """Impulses (n, 4) of the marked parts at `velocity`; whether the right ones are marked.
+
+    Those that are not are corrected, in marks, L and b, unless this is the `last` time.
     """
     settled = True
     for c in range(len(local)):
@@ -227,7 +238,7 @@ def _settle(
             share = h * area[c] * weights[c, k]
             pressure = still + slope * (velocity[0, n] * nx + velocity[1, n] * ny + velocity[2, n] * nz)
             impulse[c, k] = share * pressure if marks[c, k] else 0.0
-            if corrections and (pressure > 0.0) != marks[c, k]:
+            if not last and (pressure > 0.0) != marks[c, k]:
                 settled = False
                 marks[c, k] = not marks[c, k]
                 _add_part(nodal, local[c, k], share if marks[c, k] else -share, slope, still, nx, ny, nz)
@@ -235,9 +246,7 @@ def _settle(
 
 
 @njit
-def _add_part(
-    nodal: Array, m: int, share: float, slope: float, still: float, nx: float, ny: float, nz: float
-) -> None:
+def _add_part(nodal: Array, m: int, share: float, slope: float, still: float, nx: float, ny: float, nz: float) -> None:
     """Add share * slope * n n to L and -share * still * n to b of one node."""
     gx, gy, gz = share * slope * nx, share * slope * ny, share * slope * nz
     nodal[m, 0] += gx * nx
@@ -281,10 +290,11 @@ def rub(
     nodal: Array,
     rubbing: Array,
 ) -> None:
-    """Coulomb friction of one sub-step: stops the slip of every node in contact as far as mu times its normal impulses goes.
+    """Coulomb friction of one sub-step: stops the slip of every node in contact as far as mu times its normal
+    impulses goes.
 
-    impulse (n, 4) : of `press`. velocity (3, N + 2) padded is changed; rubbing (n, 3) receives the contacts' friction impulses
-    [N s]. nodal (m, 12) : workspace.
+    impulse (n, 4) : of `press`. velocity (3, N + 2) padded is changed; rubbing (n, 3) receives the contacts' friction
+    impulses [N s]. nodal (m, 12) : workspace.
     """
     nodal[:, :7] = 0.0
     for c in range(len(local)):

@@ -1,12 +1,10 @@
 """The hexahedral mass-spring lattice at rest (paper section 4.8, fig. 7): nodes, springs, masses, anchors.
 
-Conventions
------------
-Lengths are in the scene's unit L, of `metres_per_unit` metres; forces are in N and times in s. So that F [N] = m a with a in
-L/s^2, masses are m = kg * metres_per_unit. Stiffness is in N/L, stress and modulus inside the engine in N/L^2
-(= Pa * metres_per_unit^2), damping coefficients gamma in N s/L, energy in N L (= J / metres_per_unit).
-Node (i, j, k) has the flat index (i * nv + j) * nl + k; i runs along u, j along v, k inward from the surface (k = 0).
-Spring (d, n) runs from node n in direction OFFSETS[d]; where there is none, its stiffness is 0.
+Conventions ----------- Lengths are in the scene's unit L, of `metres_per_unit` metres; forces are in N and times in
+s. So that F [N] = m a with a in L/s^2, masses are m = kg * metres_per_unit. Stiffness is in N/L, stress and modulus
+inside the engine in N/L^2 (= Pa * metres_per_unit^2), damping coefficients gamma in N s/L, energy in N L (= J /
+metres_per_unit). Node (i, j, k) has the flat index (i * nv + j) * nl + k; i runs along u, j along v, k inward from
+the surface (k = 0). Spring (d, n) runs from node n in direction OFFSETS[d]; where there is none, its stiffness is 0.
 """
 
 from __future__ import annotations
@@ -20,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from .calibrate import OFFSETS, calibrate_cells, spring_flow
+from .calibrate import OFFSETS, spring_flow
+from .cells import calibrate_cells
 from .fold import check_folds
 from .material import Material
 from .springs import SCRATCH_ROWS, highest_frequency
@@ -35,20 +34,20 @@ CHUNK = 1024
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """The rest state of one lattice of N = nu * nv * nl nodes. Immutable; shapes and units as in the module's Conventions.
+    """The rest state of one lattice of N = nu * nv * nl nodes. Immutable; shapes and units as in the module's
+    Conventions.
 
-    shape : (nu, nv, nl), nl = layers + 1. wrap : the direction is closed, its last node is followed by its first.
-    u (nu,), v (nv,) : parameters of the surface nodes. period : length of the domain of a closed direction.
-    nodes (N, 3) : rest positions. offsets (13, 3) : spring directions in node steps.
-    stiffness (13, N), rest_length (13, N), yield_strain (13, N), hardening (13, N) : per spring; yield_strain is the
-    spring's own, inf where elastic, hardening its tangent modulus after yield over that before, below 1.
-    mass (N,), gamma (N,) : of eq. 4. volume (N,) : of the material that a node stands for [L^3].
-    anchored (N,) : nodes that keep the velocity they are given (none). active (N,) : nodes of at least one cell.
-    inverse_mass (N,) : 0 for nodes that do not move freely.
-    cell_active (cu, cv), cell_material (cu, cv, layers) : cells, index into the materials. thickness, spacing : thickness
-    and edge of a cube of the mean cell's volume [L]. plastic : some spring can yield. right_handed : (u, v, inward) is.
-    highest_frequency : an upper bound of the squared angular frequencies at rest [1/s^2].
-    segments (M, 4) : direction, start, stop, shift: runs of springs (d, n), n in [start, stop), that end at n + shift.
+    shape : (nu, nv, nl), nl = layers + 1. wrap : the direction is closed, its last node is followed by its first. u
+    (nu,), v (nv,) : parameters of the surface nodes. period : length of the domain of a closed direction. nodes (N,
+    3) : rest positions. offsets (13, 3) : spring directions in node steps. stiffness (13, N), rest_length (13, N),
+    yield_strain (13, N), hardening (13, N) : per spring; yield_strain is the spring's own, inf where elastic,
+    hardening its tangent modulus after yield over that before, below 1. mass (N,), gamma (N,) : of eq. 4. volume (N,)
+    : of the material that a node stands for [L^3]. anchored (N,) : nodes that keep the velocity they are given
+    (none). active (N,) : nodes of at least one cell. inverse_mass (N,) : 0 for nodes that do not move freely.
+    cell_active (cu, cv), cell_material (cu, cv, layers) : cells, index into the materials. thickness, spacing :
+    thickness and edge of a cube of the mean cell's volume [L]. plastic : some spring can yield. right_handed : (u, v,
+    inward) is. highest_frequency : an upper bound of the squared angular frequencies at rest [1/s^2]. segments (M, 4)
+    : direction, start, stop, shift: runs of springs (d, n), n in [start, stop), that end at n + shift.
     """
 
     shape: tuple[int, int, int]
@@ -99,18 +98,19 @@ def build_lattice(
 
     points (nu, nv, 3) : surface nodes. inward (nu, nv, 3) : unit normals into the material. u (nu,), v (nv,) : their
     parameters, increasing; a closed direction leaves out the node that repeats the first, and needs its `period`.
-    material : one, or a list with cell_material (cu, cv) or (cu, cv, layers) holding each cell's index.
-    anchored (nu, nv, layers + 1) : nodes that are held. cell_active (cu, cv) : columns of cells that exist, default all.
+    material : one, or a list with cell_material (cu, cv) or (cu, cv, layers) holding each cell's index. anchored (nu,
+    nv, layers + 1) : nodes that are held. cell_active (cu, cv) : columns of cells that exist, default all.
 
-    Spring constants are calibrated cell by cell (calibrate.py) and added up. The damping coefficient of eq. 4 is
+    Spring constants are calibrated cell by cell (calibrate.py, cells.py) and added up. The damping coefficient of eq.
+    4 is
 
         gamma_i = 2 damping omega m_i,    omega = (pi / 2) sqrt(1.2 E / density) / thickness,
 
-    the fraction of critical for the lowest thickness mode, a layer on a fixed base that stretches along its normal. It does
-    not depend on the node spacing.
+    the fraction of critical for the lowest thickness mode, a layer on a fixed base that stretches along its normal.
+    It does not depend on the node spacing.
 
-    Raises InputError for wrong shapes and numbers, and for a lattice that folds because the thickness exceeds the radius of
-    curvature; it says where and which thickness would do.
+    Raises InputError for wrong shapes and numbers, and for a lattice that folds because the thickness exceeds the
+    radius of curvature; it says where and which thickness would do.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     inward = np.ascontiguousarray(inward, dtype=np.float64)
@@ -157,6 +157,8 @@ def build_lattice(
         volume,
         gamma,
     )
+    if not np.isfinite(stiffness).all():
+        raise InputError("a cell of the lattice has no volume", mend="two rows of surface nodes must not coincide")
     segments = spring_segments((nu, nv, nl), wrap)
     rest_length = np.zeros((13, count))
     for d, start, stop, shift in segments:
@@ -209,9 +211,9 @@ def spring_lengths(x: Array, start: int, stop: int, shift: int) -> Array:
 def spring_segments(shape: tuple[int, int, int], wrap: tuple[bool, bool]) -> Index:
     """The springs as runs of constant shift: rows (direction, start, stop, shift), for the kernels.
 
-    Runs are grouped by chunks of about CHUNK nodes (one row of nodes when v wraps), so that the kernels stay in cache. Nodes
-    of a run that have no such spring (the last layer has none inward) have stiffness 0; their n + shift may lie one node
-    beyond the arrays, which the kernels pad.
+    Runs are grouped by chunks of about CHUNK nodes (one row of nodes when v wraps), so that the kernels stay in
+    cache. Nodes of a run that have no such spring (the last layer has none inward) have stiffness 0; their n + shift
+    may lie one node beyond the arrays, which the kernels pad.
     """
     nu, nv, nl = shape
     row, count = nv * nl, nu * nv * nl
@@ -245,7 +247,9 @@ def spring_segments(shape: tuple[int, int, int], wrap: tuple[bool, bool]) -> Ind
 
 
 def hexahedra(lattice: Lattice) -> Index:
-    """Node indices (cu * cv * layers, 8) of all cells, C-ordered as `cell_material`, in VTK's order, volumes positive."""
+    """Node indices (cu * cv * layers, 8) of all cells, C-ordered as `cell_material`, in VTK's order, volumes
+    positive.
+    """
     nu, nv, nl = lattice.shape
     i, j, k = np.meshgrid(*(np.arange(n) for n in lattice.cell_material.shape), indexing="ij")
     corners = []
@@ -286,12 +290,15 @@ def _checked_grid(
     periods = []
     for axis, (name, t) in enumerate((("u", u), ("v", v))):
         if len(t) < (3 if wrap[axis] else 2):
-            raise InputError(f"{len(t)} nodes along {name}", mend="a lattice needs two, and three around a closed direction")
+            raise InputError(
+                f"{len(t)} nodes along {name}", mend="a lattice needs two, and three around a closed direction"
+            )
         if (np.diff(t) <= 0.0).any():
             raise InputError(f"the node parameters along {name} do not increase")
         if wrap[axis] and not given[axis] > t[-1] - t[0]:
             raise InputError(
-                f"{name} is closed and its period is {given[axis]:g}", mend=f"it must exceed {t[-1] - t[0]:g}, its nodes' span"
+                f"{name} is closed and its period is {given[axis]:g}",
+                mend=f"it must exceed {t[-1] - t[0]:g}, its nodes' span",
             )
         periods.append(float(given[axis]) if wrap[axis] else 0.0)
     return periods[0], periods[1]

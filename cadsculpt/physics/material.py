@@ -12,12 +12,13 @@ from ..errors import InputError
 class Material:
     """An isotropic material of Poisson's ratio 1/4, the ratio that central springs can have.
 
-    youngs_modulus : [Pa]. density : [kg/m3]. damping : fraction of critical, at the lowest thickness mode (lattice.py).
-    yield_strain : strain at which a bar in tension starts to flow, math.inf for an elastic material. hardening : tangent
-    modulus after yield over Young's modulus, 0 (none) to 1 (never yields). friction : Coulomb's mu against any tool.
+    youngs_modulus : [Pa]. density : [kg/m3]. damping : fraction of critical, at the lowest thickness mode
+    (lattice.py). yield_strain : strain at which a bar in tension starts to flow, math.inf for an elastic material.
+    hardening : tangent modulus after yield over Young's modulus, 0 (none) to 1 (never yields). friction : Coulomb's
+    mu against any tool.
 
-    Raises InputError, naming the number, when one of them is not finite (yield_strain may be infinite), the modulus, density
-    or yield strain not positive, damping, hardening or friction negative, or hardening above 1.
+    Raises InputError, naming the number, when one of them is not finite (yield_strain may be infinite), the modulus,
+    density or yield strain not positive, damping, hardening or friction negative, or hardening above 1.
     """
 
     youngs_modulus: float
@@ -58,13 +59,14 @@ PRESETS: dict[str, Material] = {
 }
 """Materials to start from.
 
-clay : wet modelling clay, softer than "very soft clay" (0.5 to 5 MPa: US Army Corps of Engineers, EM 1110-1-1904, table D-3);
-density of soft saturated clay (Terzaghi and Peck 1967, Soil Mechanics in Engineering Practice, table 6.3). It flows at
-9 kPa, which a thumb can do.
+clay : wet modelling clay, softer than "very soft clay" (0.5 to 5 MPa: US Army Corps of Engineers, EM 1110-1-1904,
+    table D-3); density of soft saturated clay (Terzaghi and Peck 1967, Soil Mechanics in Engineering Practice). It
+    flows at 9 kPa, which a thumb can do.
 foam : flexible open-cell polyurethane (Gibson and Ashby 1997, Cellular Solids, chapter 5).
 rubber : natural rubber (Ashby 2011, Materials Selection in Mechanical Design, appendix A).
 sheet steel : deep-drawing steel DC04, which yields at 210 MPa at most (EN 10130); modulus and density of EN 1993-1-1;
-lubricated.
+    lubricated.
 aluminium : EN AW-5754, annealed, which yields at 80 MPa at least (EN 485-2); modulus of EN 1999-1-1; lubricated.
-Damping is that of a specimen held in a machine, not a property of the alloy: it is there to bring a pressed part to rest.
+
+Damping is that of a specimen held in a machine, not a property of the alloy: it brings a pressed part to rest.
 """

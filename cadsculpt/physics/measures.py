@@ -35,7 +35,9 @@ def nodal_plastic_set(lattice: Lattice, state: LatticeState) -> Array:
 
 
 def nodal_stress(lattice: Lattice, state: LatticeState) -> Array:
-    """(N,) von Mises stress [Pa] of the virial stress at the node, sigma = sum_s f_s L_s n n / (2 V), V the node's volume."""
+    """(N,) von Mises stress [Pa] of the virial stress at the node, sigma = sum_s f_s L_s n n / (2 V), V the node's
+    volume.
+    """
     s = _measures(lattice, state)[2]
     shear = s[3] ** 2 + s[4] ** 2 + s[5] ** 2
     square = 0.5 * ((s[0] - s[1]) ** 2 + (s[1] - s[2]) ** 2 + (s[2] - s[0]) ** 2) + 3.0 * shear

@@ -1,9 +1,9 @@
 """The springs of a lattice: forces g of paper eq. 4, plastic flow, energy and the stiffest frequency.
 
-Shared by both integrators. Kernels take positions as three padded rows: node n stands at index n + 1 of x[0], x[1], x[2],
-because a run of springs (Lattice.segments) may look one node beyond the arrays. The loops over a run are short, branchless
-and write one array each, so that the compiler turns them into vector instructions; `np.divide` divides without the test for
-zero that would prevent it.
+Shared by both integrators. Kernels take positions as three padded rows: node n stands at index n + 1 of x[0], x[1],
+x[2], because a run of springs (Lattice.segments) may look one node beyond the arrays. The loops over a run are short,
+branchless and write one array each, so that the compiler turns them into vector instructions; `np.divide` divides
+without the test for zero that would prevent it.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ def _lengths(xa: Array, xb: Array, ya: Array, yb: Array, za: Array, zb: Array, l
 def _flow(length: Array, initial: Array, strain: Array, hardening: Array, rest: Array) -> None:
     """Return mapping in one dimension with linear kinematic hardening (Simo and Hughes 1998, box 1.5), per spring.
 
-    With h the tangent modulus after yield over that before, the trial stress less the back stress, (L - L_p) - h / (1 - h)
-    (L_p - L_0), may not exceed y L_0; the rest length L_p moves by (1 - h) times the excess. Unloading is elastic.
+    With h the tangent modulus after yield over that before, the trial stress less the back stress, (L - L_p) - h / (1
+    - h) (L_p - L_0), may not exceed y L_0; the rest length L_p moves by (1 - h) times the excess. Unloading is
+    elastic.
     """
     for m in range(len(rest)):
         soft = 1.0 - hardening[m]
@@ -151,11 +152,11 @@ def highest_frequency(
 ) -> float:
     """An upper bound of the squared angular frequencies [1/s^2] of the lattice at positions (N, 3).
 
-    A spring of tangent H between nodes a and b puts H / m_a on the diagonal of M^-1/2 K M^-1/2 and -H / sqrt(m_a m_b) beside
-    it, so that no eigenvalue exceeds the largest one of any node's 3 x 3 matrix sum_s H (1 / m_a + 1 / sqrt(m_a m_b))
-    (Gershgorin by blocks); in a regular lattice's inside the bound is reached. A held node counts as infinitely heavy.
-    H = k (n n + max(0, 1 - L_p / L) (1 - n n)): the parts of a compressed spring that push sideways only lower the frequency.
-    work (SCRATCH_ROWS, N + 2).
+    A spring of tangent H between nodes a and b puts H / m_a on the diagonal of M^-1/2 K M^-1/2 and -H / sqrt(m_a m_b)
+    beside it, so that no eigenvalue exceeds the largest one of any node's 3 x 3 matrix sum_s H (1 / m_a + 1 /
+    sqrt(m_a m_b)) (Gershgorin by blocks); in a regular lattice's inside the bound is reached. A held node counts as
+    infinitely heavy. H = k (n n + max(0, 1 - L_p / L) (1 - n n)): the parts of a compressed spring that push sideways
+    only lower the frequency. work (SCRATCH_ROWS, N + 2).
 
     An eigenvalue of a symmetric 3 x 3 matrix is at most m + sqrt(2) s, m their mean and s their standard deviation.
     """
@@ -194,7 +195,9 @@ def highest_frequency(
 
 @njit
 def fastest_stretch(segments: Index, stiffness: Array, initial_length: Array, velocity: Array) -> float:
-    """The largest |relative velocity of a spring's ends| / initial length [1/s]; velocity (N, 3). Infinite for a NaN."""
+    """The largest |relative velocity of a spring's ends| / initial length [1/s]; velocity (N, 3). Infinite for a
+    NaN.
+    """
     worst = 0.0
     for row in range(len(segments)):
         d, start, stop, shift = segments[row]

@@ -202,7 +202,9 @@ def test_convert_of_chosen_faces(panel_file: Path, tmp_path: Path, capsys: pytes
 
     name = cs.read(panel_file).faces[0].name
     for face in (name, "1"):
-        assert cadsculpt(["convert", str(panel_file), str(tmp_path / f"only-{face}.json"), "--face", face, "--quiet"]) == 0
+        assert (
+            cadsculpt(["convert", str(panel_file), str(tmp_path / f"only-{face}.json"), "--face", face, "--quiet"]) == 0
+        )
         assert len(cs.read(tmp_path / f"only-{face}.json").faces) == 1
     assert cadsculpt(["convert", str(panel_file), str(tmp_path / "no.json"), "--face", "nose"]) == 2
     assert "no face named 'nose'" in capsys.readouterr().err

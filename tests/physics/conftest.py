@@ -22,7 +22,9 @@ MM = 1e-3
 
 @pytest.fixture(scope="session")
 def slab() -> Callable[..., Lattice]:
-    """slab(nodes along u, along v, layers, steps=(a, b, c), material=..., move=...) : a slab in mm, surface at z = 0."""
+    """slab(nodes along u, along v, layers, steps=(a, b, c), material=..., move=...) : a slab in mm, surface at z =
+    0.
+    """
 
     def make(
         nu: int,

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from cadsculpt.physics.calibrate import hexahedron_volume, spring_flow
+from cadsculpt.physics.calibrate import spring_flow
+from cadsculpt.physics.cells import hexahedron_volume
 from cadsculpt.physics.lattice import Lattice, build_lattice
 from cadsculpt.physics.material import Material
 
@@ -52,8 +53,12 @@ def test_a_cube_has_the_balanced_answer(slab: Callable[..., Lattice], springs: A
     assert c[0, 0, 0, 1] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("steps", [(1, 1, 1.5), (1, 1, 2), (2, 2, 1), (1, 1, 3), (3, 3, 1), (1, 2, 3), (3, 1, 1), (1, 1, 6)])
-def test_youngs_modulus_of_long_cells(slab: Callable[..., Lattice], springs: Any, steps: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "steps", [(1, 1, 1.5), (1, 1, 2), (2, 2, 1), (1, 1, 3), (3, 3, 1), (1, 2, 3), (3, 1, 1), (1, 1, 6)]
+)
+def test_youngs_modulus_of_long_cells(
+    slab: Callable[..., Lattice], springs: Any, steps: tuple[float, float, float]
+) -> None:
     lattice = slab(2, 2, 1, steps=steps)
     assert moduli(stiffness_tensor(lattice, springs(lattice))) == pytest.approx(1.0, rel=0.005)
     # every edge and every face diagonal plays its part
@@ -120,7 +125,9 @@ def test_volume_of_a_hexahedron(seed: int) -> None:
 @pytest.mark.parametrize("hardening", [0.0, 0.02, 0.1, 0.5, 0.9])
 def test_flow_of_springs_meets_its_equations(hardening: float) -> None:
     y, g = spring_flow(0.01, hardening)
-    expected = 0.0 if hardening == 0.0 else brentq(lambda t: 1.2 * t - 0.32 * t * t / (1.2 + 0.4 * t) - hardening, 0.0, 1.0)
+    expected = (
+        0.0 if hardening == 0.0 else brentq(lambda t: 1.2 * t - 0.32 * t * t / (1.2 + 0.4 * t) - hardening, 0.0, 1.0)
+    )
     assert g == pytest.approx(expected, abs=1e-12)
     assert (1 - g) * y * (2 - 0.64 * g / (1.2 + 0.4 * g)) == pytest.approx((1 - hardening) * 0.01, rel=1e-12)
     assert spring_flow(math.inf, hardening) == (math.inf, 0.0)

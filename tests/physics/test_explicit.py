@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 
 
 def test_period_of_an_oscillator(chain: Callable[..., Lattice]) -> None:
-    """One mass on one spring: T = 2 pi sqrt(m / k), within 0.1 %, also far from the rest length (Hooke's springs are linear)."""
+    """One mass on one spring: T = 2 pi sqrt(m / k), within 0.1 %, also far from the rest length (Hooke's springs are
+    linear).
+    """
     lattice = chain([1.0, 0.02], [50.0])
     period = 2 * math.pi * math.sqrt(0.02 / 50.0)
     for amplitude in (1e-6, 0.3):
@@ -51,7 +53,9 @@ def test_damped_oscillator(chain: Callable[..., Lattice]) -> None:
 
 
 def test_energy_of_an_undamped_lattice_does_not_drift(slab: Callable[..., Lattice]) -> None:
-    """1e4 sub-steps of a vibrating, twisted slab: energy at the end as at the start within 1 %, and near it all the time."""
+    """1e4 sub-steps of a vibrating, twisted slab: energy at the end as at the start within 1 %, and near it all the
+    time.
+    """
     lattice = slab(5, 4, 3, base=True)
     state = LatticeState.at_rest(lattice)
     nu, nv, nl = lattice.shape
@@ -68,7 +72,7 @@ def test_energy_of_an_undamped_lattice_does_not_drift(slab: Callable[..., Lattic
         together = state.copy()
         together.x -= 0.5 * result.substep * state.velocity
         energies.append(elastic_energy(lattice, together) + kinetic_energy(lattice, together))
-    assert np.mean(energies[-100:]) == pytest.approx(np.mean(energies[:100]), rel=0.01)
+    assert np.mean(energies[-200:]) == pytest.approx(np.mean(energies[:200]), rel=0.01)
     assert np.ptp(energies) < 0.1 * np.mean(energies)
 
 
@@ -85,28 +89,29 @@ def test_damped_energy_falls(slab: Callable[..., Lattice]) -> None:
 
 
 def test_critical_damping_of_the_thickness_mode(slab: Callable[..., Lattice]) -> None:
-    """A layer on a fixed base, stretched along its normal: damping 0.2 gives the logarithmic decrement of 20 % of critical."""
-    lattice = slab(3, 3, 8, steps=(3.0, 3.0, 0.5), material=Material(1e6, 1000.0, damping=0.2), base=True)
-    # sideways motion is stopped by the symmetry of an infinite layer: hold it by averaging out
+    """A layer on a fixed base, stretched along its normal: damping 0.2 rings down as 20 % of critical damping does."""
+    lattice = slab(3, 3, 12, steps=(0.5, 0.5, 0.5), material=Material(1e6, 1000.0, damping=0.2), base=True)
     state = LatticeState.at_rest(lattice)
-    depth = lattice.nodes[:, 2] + 4.0
-    state.x[:, 2] += 1e-3 * np.sin(math.pi / 2 * depth / 4.0)
+    state.x[:, 2] += 1e-3 * np.sin(math.pi / 2 * (lattice.nodes[:, 2] + 6.0) / 6.0)
     speed = math.sqrt(1.2e6 / 1000.0) * 1e3
-    omega = math.pi / 2 * speed / 4.0
-    top, times = [], np.arange(1, 401) * (2 * math.pi / omega / 100)
-    for _ in times:
-        advance(lattice, state, None, times[0])
+    omega = math.pi / 2 * speed / 6.0
+    tick = 2 * math.pi / omega / 200
+    top = []
+    for _ in range(500):
+        advance(lattice, state, None, tick)
+        # an infinite layer: nothing moves sideways
         state.x[:, :2] = lattice.nodes[:, :2]
         state.velocity[:, :2] = 0.0
         top.append(state.x[lattice.nodes[:, 2] == 0.0, 2].mean())
-    peaks = [n for n in range(1, len(top) - 1) if top[n] > top[n - 1] and top[n] > top[n + 1] and top[n] > 0]
-    decrement = math.log(top[peaks[0]] / top[peaks[1]])
-    # the springs of these flat cells carry C_3333 a few per cent below 1.2 E
-    assert decrement == pytest.approx(2 * math.pi * 0.2 / math.sqrt(1 - 0.04), rel=0.15)
+    peaks = [n for n in range(1, len(top) - 1) if top[n - 1] < top[n] > top[n + 1] and top[n] > 0]
+    assert (peaks[1] - peaks[0]) * tick == pytest.approx(2 * math.pi / omega / math.sqrt(1 - 0.04), rel=0.02)
+    assert math.log(top[peaks[0]] / top[peaks[1]]) == pytest.approx(2 * math.pi * 0.2 / math.sqrt(1 - 0.04), rel=0.03)
 
 
 def test_free_body_accelerates_as_force_over_mass(slab: Callable[..., Lattice]) -> None:
-    """1 N on 1 kg gives 1 m/s^2, whatever the unit: the mean acceleration of a free lattice under forces on some nodes."""
+    """1 N on 1 kg gives 1 m/s^2, whatever the unit: the mean acceleration of a free lattice under forces on some
+    nodes.
+    """
     lattice = slab(4, 5, 2)
     state = LatticeState.at_rest(lattice)
     force = np.zeros_like(lattice.nodes)
@@ -134,9 +139,13 @@ def test_turning_free_body_keeps_its_shape(slab: Callable[..., Lattice]) -> None
 
 @pytest.mark.parametrize("hardening", [0.0, 0.05, 0.3])
 def test_bar_of_springs_yields_hardens_and_keeps_its_set(chain: Callable[..., Lattice], hardening: float) -> None:
-    """A row of springs drawn far beyond yield, let go and drawn again, against the bilinear law with kinematic hardening."""
+    """A row of springs drawn far beyond yield, let go and drawn again, against the bilinear law with kinematic
+    hardening.
+    """
     stiffness, yield_strain = 100.0, 0.01
-    lattice = chain([1e-3] * 11, [stiffness] * 10, yield_strain=yield_strain, hardening=hardening, gamma=20.0, held=(0, 10))
+    lattice = chain(
+        [1e-3] * 11, [stiffness] * 10, yield_strain=yield_strain, hardening=hardening, gamma=20.0, held=(0, 10)
+    )
     state = LatticeState.at_rest(lattice)
 
     def draw(strain: float) -> float:
@@ -219,7 +228,9 @@ def test_just_below_the_limit_is_stable_and_above_is_refused(slab: Callable[...,
         assert result.substeps == 1000
     # the semi-implicit rule's own invariant is far from the energy near the limit, but stays in proportion to it
     assert elastic_energy(lattice, state) < 100 * before
-    with pytest.raises(InputError, match=rf"largest that is stable here is {stable_substep(lattice, state, safety=1.0):.4g} s"):
+    with pytest.raises(
+        InputError, match=rf"largest that is stable here is {stable_substep(lattice, state, safety=1.0):.4g} s"
+    ):
         advance(lattice, state, None, 1.0, substep=1.2 * largest)
 
 
@@ -229,7 +240,9 @@ def test_just_below_the_limit_is_stable_and_above_is_refused(slab: Callable[...,
 def test_contact_never_makes_it_unstable(
     slab: Callable[..., Lattice], contact: Callable[..., ContactLoad], points: int, mu: float, stiffer: float
 ) -> None:
-    """A ball pressed into light, hardly damped foam of distorted cells, few and many contacts, stiff ones, friction: no jitter."""
+    """A ball pressed into light, hardly damped foam of distorted cells, few and many contacts, stiff ones, friction:
+    no jitter.
+    """
     rng = np.random.default_rng(points)
     material = Material(1e5, 30.0, damping=0.05)
     lattice = slab(
@@ -314,9 +327,13 @@ def test_two_runs_give_the_same_bytes(slab: Callable[..., Lattice], contact: Cal
         lattice = slab(6, 6, 2, material=PRESETS["clay"], base=True)
         state = LatticeState.at_rest(lattice)
         nodes, weights = node_weights(lattice, np.linspace(1, 4, 40), np.linspace(1, 4, 40) ** 2 / 4)
-        load = contact(nodes, weights, depth=0.2, area=0.1, stiffness=5.0, damping=1e-4, friction=0.4, velocity=(5.0, 0, -9.0))
+        load = contact(
+            nodes, weights, depth=0.2, area=0.1, stiffness=5.0, damping=1e-4, friction=0.4, velocity=(5.0, 0, -9.0)
+        )
         result = advance(lattice, state, load, 2e-3)
-        results.append([a.tobytes() for a in (state.x, state.velocity, state.rest_length, result.mean_force, result.depth)])
+        results.append(
+            [a.tobytes() for a in (state.x, state.velocity, state.rest_length, result.mean_force, result.depth)]
+        )
     assert results[0] == results[1]
 
 

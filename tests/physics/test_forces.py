@@ -20,7 +20,9 @@ MM = 1e-3
 
 
 def uneven(wrap: tuple[bool, bool] = (False, False), **options: object) -> Lattice:
-    """A flat slab whose points are its parameters, unevenly spaced; a closed direction is closed in parameters alone."""
+    """A flat slab whose points are its parameters, unevenly spaced; a closed direction is closed in parameters
+    alone.
+    """
     u, v = np.array([0.0, 1.0, 1.5, 3.0, 4.0]), np.array([-1.0, 0.0, 2.0, 2.5])
     points = np.stack([*np.meshgrid(u, v, indexing="ij"), np.zeros((5, 4))], axis=-1)
     if wrap[0]:
@@ -127,15 +129,21 @@ def test_a_moving_plane_presses_deeper(slab: Callable[..., Lattice], contact: Ca
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.3])
-def test_impulses_balance_momentum(slab: Callable[..., Lattice], contact: Callable[..., ContactLoad], mu: float) -> None:
-    """A free lattice: its momentum grows by exactly the contact forces times the time, in many dense, skew, moving contacts."""
+def test_impulses_balance_momentum(
+    slab: Callable[..., Lattice], contact: Callable[..., ContactLoad], mu: float
+) -> None:
+    """A free lattice: its momentum grows by exactly the contact forces times the time, in many dense, skew, moving
+    contacts.
+    """
     rng = np.random.default_rng(3)
     lattice = slab(7, 6, 2, move=lambda p: p + 0.15 * rng.uniform(-1, 1, p.shape))
     state = LatticeState.at_rest(lattice)
     state.velocity[:] = rng.normal(size=state.velocity.shape) * 5.0
     n = 200
     nodes, weights = node_weights(lattice, rng.uniform(0, 6, n), rng.uniform(0, 5, n))
-    load = contact(nodes, weights, depth=0.05 * rng.uniform(-1, 1, n), area=0.2, stiffness=20.0, damping=1e-3, friction=mu)
+    load = contact(
+        nodes, weights, depth=0.05 * rng.uniform(-1, 1, n), area=0.2, stiffness=20.0, damping=1e-3, friction=mu
+    )
     load.normal[:] = rng.normal(size=(n, 3)) * 0.3 + np.array([0.0, 0.0, 1.0])
     load.normal[:] /= np.linalg.norm(load.normal, axis=1)[:, None]
     load.velocity[:] = rng.normal(size=(n, 3)) * 20.0
@@ -206,7 +214,8 @@ def test_stick_below_mu(slab: Callable[..., Lattice], contact: Callable[..., Con
         tangential = np.linalg.norm(result.mean_force[:, :2], axis=1)
         assert (tangential <= 0.5 * -result.mean_force[:, 2] + 1e-9).all()
         held.append(force[0])
-    # 0.005 mm over 3 mm of height in shear, G = 0.4 E: tau = 0.4 * 0.005 / 3 N/mm^2 on 25 mm^2, softer at the free edges
+    # 0.005 mm over 3 mm of height in shear, G = 0.4 E: tau = 0.4 * 0.005 / 3 N/mm^2 on 25 mm^2, softer at the free
+    # edges
     assert 0.5 < held[60] / (0.4 * 0.005 / 3.0 * 25.0) < 1.0
     assert held[-1] == pytest.approx(held[60], rel=0.02)
 
@@ -214,13 +223,16 @@ def test_stick_below_mu(slab: Callable[..., Lattice], contact: Callable[..., Con
 def test_force_does_not_depend_on_how_finely_the_contact_is_sampled(
     slab: Callable[..., Lattice], contact: Callable[..., ContactLoad]
 ) -> None:
-    """A cylinder pressed into clay: twice the points along each direction change the force by less than 5 %, three times."""
+    """A cylinder pressed into clay: twice the points along each direction change the force by less than 5 %, three
+    times.
+    """
     totals = []
     for points in (15, 30, 60, 120):
         lattice = slab(11, 6, 3, material=PRESETS["clay"], base=True)
         state = LatticeState.at_rest(lattice)
         u, v = (
-            x.ravel() for x in np.meshgrid((np.arange(points) + 0.5) / points * 10, (np.arange(points) + 0.5) / points * 5)
+            x.ravel()
+            for x in np.meshgrid((np.arange(points) + 0.5) / points * 10, (np.arange(points) + 0.5) / points * 5)
         )
         nodes, weights = node_weights(lattice, u, v)
         stiffness = contact_stiffness(PRESETS["clay"], 3.0, 1.0, MM)
@@ -245,3 +257,47 @@ def test_force_does_not_depend_on_how_finely_the_contact_is_sampled(
             force = advance(lattice, state, load, 1e-3).mean_force.sum(axis=0)
         totals.append(force[2])
     assert np.abs(np.diff(totals) / np.array(totals[1:])).max() < 0.05
+
+
+def test_sphere_on_a_layer(slab: Callable[..., Lattice], contact: Callable[..., ContactLoad]) -> None:
+    """Hertz, with the correction for a layer bonded to a rigid base (Dimitriadis et al. 2002, eq. 11): within 6 %."""
+    material = Material(1e6, 1000.0, damping=0.15)
+    nodes_across, layers, radius, press = 25, 10, 40.0, 0.25
+    lattice = slab(nodes_across, nodes_across, layers, material=material, base=True)
+    state = LatticeState.at_rest(lattice)
+    middle, reach = (nodes_across - 1) / 2, math.sqrt(radius * press)
+    grid = middle + (np.arange(-18, 18) + 0.5) / 3
+    u, v = (x.ravel() for x in np.meshgrid(grid, grid, indexing="ij"))
+    nodes, weights = node_weights(lattice, u, v)
+    stiffness = contact_stiffness(material, layers, 1.0, MM)
+    dt = 2 * layers / (math.sqrt(1.2e6 / 1000.0) * 1e3)
+    for step in range(40):
+        bottom = -press * min(1.0, step / 25)
+        out = np.array([middle, middle, bottom + radius]) - np.einsum("nk,nkc->nc", weights, state.x[nodes])
+        distance = np.linalg.norm(out, axis=1)
+        load = contact(
+            nodes,
+            weights,
+            depth=radius - distance,
+            area=1 / 9,
+            velocity=(0.0, 0.0, -press / 25 / dt if step < 25 else 0.0),
+            stiffness=stiffness,
+            damping=contact_damping(material, stiffness, lattice),
+        )
+        load.normal[:] = out / distance[:, None]
+        result = advance(lattice, state, load, dt)
+    ratio = 0.25
+    hertz = 4 / 3 / (1 - ratio**2) * math.sqrt(radius) * press**1.5
+    chi = reach / layers
+    a = -(1.2876 - 1.4678 * ratio + 1.3442 * ratio**2) / (1 - ratio)
+    b = (0.6387 - 1.0277 * ratio + 1.5164 * ratio**2) / (1 - ratio)
+    layer = (
+        1
+        - 2 * a / math.pi * chi
+        + 4 * (a / math.pi * chi) ** 2
+        - 8 / math.pi**3 * (a**3 + 4 * math.pi**2 / 15 * b) * chi**3
+        + 16 * a / math.pi**4 * (a**3 + 3 * math.pi**2 / 5 * b) * chi**4
+    )
+    assert -result.mean_force[:, 2].sum() == pytest.approx(hertz * layer, rel=0.06)
+    # nothing is left of the ball inside the surface
+    assert result.depth.max() < 0.02 * press

@@ -44,7 +44,9 @@ def tube(nu: int, nv: int, layers: int, radius: float, thickness: float, **optio
 @pytest.mark.parametrize("wrap", [(False, False), (True, False), (False, True), (True, True)])
 @pytest.mark.parametrize("shape", [(3, 3, 2), (5, 4, 3), (40, 30, 3), (4, 300, 2)])
 def test_segments_are_exactly_the_springs(shape: tuple[int, int, int], wrap: tuple[bool, bool]) -> None:
-    """Every spring that the offsets give appears once, whatever the chunks, and nothing reaches beyond one node outside."""
+    """Every spring that the offsets give appears once, whatever the chunks, and nothing reaches beyond one node
+    outside.
+    """
     nu, nv, nl = shape
     count = nu * nv * nl
     i, j, k = np.unravel_index(np.arange(count), shape)
@@ -114,7 +116,9 @@ def test_the_same_part_in_other_units(slab: Callable[..., Lattice]) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("steps", [(1, 1, 1), (0.5, 0.5, 0.5), (1, 1, 1.5), (1, 2, 1), (1, 3, 1), (3, 1, 1), (1, 1, 3), (3, 3, 1)])
+@pytest.mark.parametrize(
+    "steps", [(1, 1, 1), (0.5, 0.5, 0.5), (1, 1, 1.5), (1, 2, 1), (1, 3, 1), (3, 1, 1), (1, 1, 3), (3, 3, 1)]
+)
 def test_bar_in_tension(
     slab: Callable[..., Lattice], tangent: Any, steps: tuple[float, float, float], axis: int
 ) -> None:
@@ -167,7 +171,9 @@ def test_bar_of_distorted_cells(slab: Callable[..., Lattice], tangent: Any, twis
 
 
 def clamped_plate(slab: Callable[..., Lattice], tangent: Any, layers: int) -> float:
-    """Deflection of a clamped square plate, 30 thicknesses wide, under uniform pressure, over Timoshenko's 0.00126 q a^4 / D."""
+    """Deflection of a clamped square plate, 30 thicknesses wide, under uniform pressure, over Timoshenko's 0.00126 q
+    a^4 / D.
+    """
     half = 15.0
     cells = round(half * layers / 3)
     lattice = slab(cells + 1, cells + 1, layers, steps=(half / cells, half / cells, 1.0 / layers))

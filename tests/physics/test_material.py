@@ -39,7 +39,8 @@ def test_presets() -> None:
     assert set(PRESETS) == {"clay", "foam", "rubber", "sheet steel", "aluminium"}
     for name, material in PRESETS.items():
         assert material.name == name
-    # the speed of sound in a thin bar, sqrt(E / density), of handbooks: steel 5.2 km/s, aluminium 5.1 km/s, rubber 50 m/s
+    # the speed of sound in a thin bar, sqrt(E / density), of handbooks: steel 5.2 km/s, aluminium 5.1 km/s, rubber 50
+    # m/s
     speed = {name: math.sqrt(m.youngs_modulus / m.density) for name, m in PRESETS.items()}
     assert speed["sheet steel"] == pytest.approx(5170, rel=0.02)
     assert speed["aluminium"] == pytest.approx(5100, rel=0.02)
