@@ -30,11 +30,12 @@ USUAL_NODES, MOST_NODES = 4000, 12000
 DEEP = 0.05
 """How deep the tool presses, as a fraction of the face's size."""
 
-THICK = 2.2
-"""Thickness of the material over the depth of the press: about as thick as the dent is half wide, so that all layers give
-way alike. Below a dent that is narrow for its thickness the topmost cells are crushed flat alone."""
+THICK = 2.5
+"""Thickness of the material over the depth of the press."""
 
-LAYERS = (2, 5)
+MOST_LAYERS = 2
+"""Cells through the thickness: each is higher than the press is deep, so that the topmost cannot be crushed flat alone."""
+
 FLATTEST = 10.0
 """A cell is at most this many times wider than it is high."""
 
@@ -58,7 +59,7 @@ class Press:
 
     @property
     def layers(self) -> int:
-        return int(np.clip(round(self.thickness / self.spacing), *LAYERS))
+        return int(np.clip(round(self.thickness / self.spacing), 1, MOST_LAYERS))
 
     @property
     def half_width(self) -> float:
@@ -78,7 +79,7 @@ def wanted(seen: FaceSurvey, spot: Spot) -> Press | None:
     thickness = THICK * depth
     sized = Press(seen, spot, scale, depth, 0.0, 0.0, thickness, 1.0, 0.0)
     spacing = _spacing(seen, sized.half_width)
-    if spacing > FLATTEST * thickness / LAYERS[0]:
+    if spacing > FLATTEST * thickness:
         return None
     return replace(sized, spacing=spacing, score=_score(seen, sized, spacing))
 

@@ -142,6 +142,8 @@ def advance(
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"a step of {dt} s", mend="a step takes a positive time")
     largest = stable_substep(lattice, state, safety=1.0)
+    if not largest > 0.0:
+        raise SimulationError(_NOT_FINITE, mend=_CALMER)
     if substep is not None and not 0.0 < substep <= largest:
         raise InputError(f"a sub-step of {substep:g} s", mend=f"the largest that is stable here is {largest:.4g} s")
     longest = substep
@@ -192,16 +194,15 @@ def advance(
     if not (finite and stretch <= MOST_STRETCH):
         if rest_before is not None:
             state.rest_length[:] = rest_before
-        raise SimulationError(
-            "parts of the lattice move faster than sound does in the material"
-            if finite
-            else "the lattice's positions are no longer finite",
-            mend="reduce the step, the tool's speed or the depth it presses to",
-        )
+        raise SimulationError(_SUPERSONIC if finite else _NOT_FINITE, mend=_CALMER)
     state.x[:] = state.scratch[0:3, 1 : nodes + 1].T
     state.velocity[:] = velocity
     return StepForces(mean_force, end_force, depth, max_speed, dt / count, count)
 
+
+_NOT_FINITE = "the lattice's positions are no longer finite"
+_SUPERSONIC = "parts of the lattice move faster than sound does in the material"
+_CALMER = "reduce the step, the tool's speed or the depth it presses to"
 
 _NO_FORCE: Array = np.zeros((0, 3))
 _NO_LOAD = ContactLoad(

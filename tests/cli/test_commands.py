@@ -38,7 +38,7 @@ DOCUMENT: dict[str, Any] = {
 def quick_demo(tmp_path: Path) -> Path:
     """The press of the demo on a coarse lattice, without pictures."""
     path = write_demo(DEMOS["press"], tmp_path)
-    text = path.read_text().replace("nodes = 2.5", "nodes = 6.0").replace("layers = 4", "layers = 2")
+    text = path.read_text().replace("nodes = 2.5", "nodes = 6.0")
     path.write_text(re.sub(r"pictures = true", "pictures = false", text))
     return path
 

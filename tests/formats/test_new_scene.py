@@ -213,7 +213,7 @@ def test_the_press_is_sensible_on_a_panel() -> None:
     assert press is not None
     assert 0.15 * 80.0 / 2 < press.scale <= 0.25 * 80.0
     assert press.depth == pytest.approx(0.05 * seen.size, rel=0.2)
-    assert press.thickness == pytest.approx(2.2 * press.depth)
+    assert press.thickness == pytest.approx(2.5 * press.depth)
     assert press.thickness < seen.fold
     assert press.start > press.scale > press.end
     assert press.half_width > 3.0 * press.spacing
