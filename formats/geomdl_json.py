@@ -32,21 +32,22 @@ DELTA = 0.05
 # ---------------------------------------------------------------------- reading
 
 
-def read(path: Path) -> Part:
+def read(path: Path, *, units: str | None = None) -> Part:
     """Read a NURBS-Python JSON file. Raises InputError naming the file, the place in it and the fault."""
-    return part_of_document(load(Path(path)), Path(path))
+    return part_of_document(load(Path(path)), Path(path), units=units)
 
 
-def part_of_document(document: object, path: Path) -> Part:
-    """The part of a parsed file; lengths are taken as mm, with a warning."""
+def part_of_document(document: object, path: Path, *, units: str | None = None) -> Part:
+    """The part of a parsed file; its numbers are in `units`, or taken as mm with a warning."""
     try:
         surfaces = surfaces_of_document(document, path.name)
     except CadsculptError as error:
         raise InputError(
             error.what, where=f"{path}{', ' + error.where if error.where else ''}", mend=error.mend
         ) from None
-    part = PatchPart(path, "geomdl", "", surfaces)
-    part.warnings.append("a NURBS-Python file has no length unit: its numbers are taken as mm")
+    part = PatchPart(path, "geomdl", units or "", surfaces)
+    if units is None:
+        part.warnings.append("a NURBS-Python file has no length unit: its numbers are taken as mm")
     return part
 
 

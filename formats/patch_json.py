@@ -45,8 +45,8 @@ _CURVE = {"degree", "knots", "control_points", "weights"}
 # ---------------------------------------------------------------------- reading
 
 
-def read(path: Path) -> Part:
-    """Read a patch JSON file, or one of NURBS-Python.
+def read(path: Path, *, units: str | None = None) -> Part:
+    """Read a patch JSON file, or one of NURBS-Python. units : to take the numbers in, whatever the file says.
 
     Raises InputError naming the file, the place in it and the fault, for whatever is wrong.
     """
@@ -55,16 +55,16 @@ def read(path: Path) -> Part:
     if isinstance(document, dict) and "shape" in document and "format" not in document:
         from .geomdl_json import part_of_document
 
-        return part_of_document(document, path)
+        return part_of_document(document, path, units=units)
     from .patch_part import PatchPart
 
     try:
-        units, surfaces = surfaces_of_document(document, path.name)
+        said, surfaces = surfaces_of_document(document, path.name)
     except CadsculptError as error:
         raise InputError(
             error.what, where=f"{path}{', ' + error.where if error.where else ''}", mend=error.mend
         ) from None
-    return PatchPart(path, "json", units, surfaces)
+    return PatchPart(path, "json", units or said, surfaces)
 
 
 def surfaces_of_document(document: object, file: str) -> tuple[str, list[BSplineSurface]]:

@@ -34,7 +34,7 @@ THICK = 2.5
 """Thickness of the material over the depth of the press."""
 
 MOST_LAYERS = 2
-"""Cells through the thickness: each is higher than the press is deep, so that the topmost cannot be crushed flat alone."""
+"""Cells through the thickness: each is higher than the press is deep, so that the topmost is not crushed flat alone."""
 
 FLATTEST = 10.0
 """A cell is at most this many times wider than it is high."""

@@ -1,30 +1,102 @@
-"""Which reader and writer a file belongs to."""
+"""Which reader and which writer a CAD file belongs to."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import InputError
+from ..units import unit_name
 from .part import Part
 
+Reader = Callable[..., Part]
 
-def read(path: Path | str, *, units: str | None = None) -> Part:
+SUFFIXES = {
+    ".step": "step", ".stp": "step", ".p21": "step",
+    ".iges": "iges", ".igs": "iges",
+    ".3dm": "3dm",
+    ".json": "json",
+}  # fmt: skip
+"""File name extensions and the formats that they stand for."""
+
+NAMES = {"step": "STEP", "iges": "IGES", "3dm": "Rhino 3DM", "json": "patch JSON"}
+
+
+def read(path: str | os.PathLike[str], *, units: str | None = None) -> Part:
+    """Read a CAD file of any known format.
+
+    The content decides; where the extension says something else, the part's warnings say so. units : length unit to take
+    the file's numbers in, whatever the file says. Raises InputError naming what is wrong with the file.
+    """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix in (".step", ".stp", ".p21"):
-        from . import step
-        return step.read(path, units=units)
-    if suffix in (".iges", ".igs"):
-        from . import iges
-        return iges.read(path, units=units)
-    if suffix == ".3dm":
-        from . import rhino
-        return rhino.read(path)
-    if suffix == ".json":
-        from . import patch_json
-        return patch_json.read(path)
-    raise InputError("not a CAD file that is read", where=str(path))
+    if units is not None:
+        units = unit_name(units)
+    said, found = SUFFIXES.get(path.suffix.lower()), _sniffed(path)
+    format = found or said
+    if format is None:
+        raise InputError(
+            "this is no CAD file that cadsculpt reads",
+            where=str(path),
+            mend=f"it reads {', '.join(NAMES.values())}: {' '.join(SUFFIXES)}",
+        )
+    part = _reader(format)(path, units=units)
+    if found and said and found != said:
+        part.warnings.append(f"its name says {NAMES[said]}, but it is a {NAMES[found]} file")
+    return part
 
 
-def write_part(part: Part, path: Path, format: str) -> None:
-    part.write(Path(path), format)
+def write_part(part: Part, path: str | os.PathLike[str], format: str) -> None:
+    """Write a whole part as step, iges, 3dm or json, whole or not at all, the same bytes every time.
+
+    What the format cannot hold is named in the part's warnings. Raises InputError when it cannot be written.
+    """
+    path = Path(path)
+    if format not in NAMES:
+        raise InputError(f"no format {format!r}", where=str(path), mend=f"use one of {', '.join(NAMES)}")
+    if format == "3dm":
+        from .rhino import write_part as write_rhino
+
+        write_rhino(part, path)
+    elif format == "json" and part.format != "json":
+        from .patch_json import write_surfaces
+
+        left_out = [face.name for face in part.faces if face.warning]
+        if left_out:
+            part.warnings.append(f"faces without an exact surface are left out: {', '.join(left_out[:5])}")
+        write_surfaces(path, [face.surface for face in part.faces if not face.warning], "mm")
+    else:
+        part.write(path, format)
+
+
+def _reader(format: str) -> Reader:
+    match format:
+        case "step":
+            from .step import read as reader
+        case "iges":
+            from .iges import read as reader
+        case "3dm":
+            from .rhino import read as reader
+        case _:
+            from .patch_json import read as reader
+    return reader
+
+
+def _sniffed(path: Path) -> str | None:
+    """The format that the first bytes show; None when they show none, or the file cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(512)
+    except OSError:
+        return None
+    if head.startswith(b"3D Geometry File Format"):
+        return "3dm"
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if text.startswith(b"ISO-10303-21"):
+        return "step"
+    if text.startswith(b"{"):
+        return "json"
+    lines = head.splitlines()
+    if lines and len(lines[0]) >= 73 and lines[0][72:73] == b"S":
+        return "iges"
+    return None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import GeometryError, InputError
 from ..spline.surface import BSplineSurface
-from ..units import METRES_PER_UNIT
+from ..units import METRES_PER_UNIT, conversion
 from .part import Face, FaceEdge, Faces, Part, Validity
 from .patch_part import check_sculpted
 from .rhino_archive import archive_version, check_archive, object_records
@@ -84,12 +84,12 @@ class RhinoPart(Part):
 
     format = "3dm"
 
-    def __init__(self, path: Path, data: bytes, model: Any) -> None:
+    def __init__(self, path: Path, data: bytes, model: Any, units: str | None = None) -> None:
         self.path = path
         self.warnings: list[str] = []
         self._data = data
         self._model = model
-        self.units, self._scale = self._read_units()
+        self.units, self._scale = (units, conversion(units, "mm")) if units else self._read_units()
         self.bodies = self._read_bodies()
         self.faces = Faces(self._name_faces(), path.name)
         self._shapes: dict[int, BodyShape] = {}
@@ -300,8 +300,8 @@ class RhinoPart(Part):
         return archive_version(self._data)
 
 
-def read(path: Path) -> RhinoPart:
-    """Read a 3DM file.
+def read(path: Path, *, units: str | None = None) -> RhinoPart:
+    """Read a 3DM file. units : to take its numbers in, whatever the file says.
 
     Raises InputError when it is missing, empty, cut short or otherwise damaged, or not a 3DM file at all.
     """
@@ -317,7 +317,7 @@ def read(path: Path) -> RhinoPart:
         model = library().File3dm.FromByteArray(data)
         if model is None:
             raise InputError("openNURBS cannot read it", mend="the file is damaged: open it in Rhino and save it again")
-        return RhinoPart(path, data, model)
+        return RhinoPart(path, data, model, units)
     except InputError as error:
         if error.where:
             raise

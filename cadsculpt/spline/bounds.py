@@ -89,44 +89,92 @@ def span_bounds(
                 x, y, z = net[i0 + a, j0 + b, 0] / w - cx, net[i0 + a, j0 + b, 1] / w - cy, net[i0 + a, j0 + b, 2] / w - cz
                 reach = max(reach, x * x + y * y + z * z)
         reach = np.sqrt(reach)
-    # largest squared lengths of the derivative nets' control points: of A, and of w
     for k in range(5):
-        order_u = (1, 0, 2, 1, 0)[k]
-        order_v = (0, 1, 0, 1, 2)[k]
-        longest, steepest = 0.0, 0.0
-        for a in range(p + 1 - order_u):
-            # the second difference's three factors (f0, f1, f2), the first difference's two
-            u0, u1, u2 = difference(knots_u, p, i0 + a, order_u)
-            for b in range(q + 1 - order_v):
-                v0, v1, v2 = difference(knots_v, q, j0 + b, order_v)
-                x, y, z, w = 0.0, 0.0, 0.0, 0.0
+        longest, steepest = longest_difference(net, knots_u, knots_v, p, q, i0, j0, rational, k, cx, cy, cz)
+        if not rational:
+            out[k] = longest
+            continue
+        value = longest + steepest * reach
+        if k == S_U:
+            steepest_u = steepest
+        elif k == S_V:
+            steepest_v = steepest
+        elif k == S_UU:
+            value += 2.0 * steepest_u * out[S_U]
+        elif k == S_UV:
+            value += steepest_u * out[S_V] + steepest_v * out[S_U]
+        else:
+            value += 2.0 * steepest_v * out[S_V]
+        out[k] = value / least
+        if k == S_U or k == S_V or k == S_UV:
+            out[k] = min(out[k], separable_bound(net, knots_u, knots_v, p, q, i0, j0, k))
+
+
+@njit
+def longest_difference(
+    net: Array, knots_u: Array, knots_v: Array, p: int, q: int, i0: int, j0: int, rational: bool, k: int,
+    cx: float, cy: float, cz: float,
+) -> tuple[float, float]:  # fmt: skip
+    """The largest length in derivative net number k (S_U to S_VV) of A = w (S - c), and the largest value in w's, over a span."""
+    order_u, order_v = (1, 0, 2, 1, 0)[k], (0, 1, 0, 1, 2)[k]
+    longest, steepest = 0.0, 0.0
+    for a in range(p + 1 - order_u):
+        u0, u1, u2 = difference(knots_u, p, i0 + a, order_u)
+        for b in range(q + 1 - order_v):
+            v0, v1, v2 = difference(knots_v, q, j0 + b, order_v)
+            x, y, z, w = 0.0, 0.0, 0.0, 0.0
+            for e in range(order_u + 1):
+                fu = u0 if e == 0 else (u1 if e == 1 else u2)
+                for f in range(order_v + 1):
+                    factor = fu * (v0 if f == 0 else (v1 if f == 1 else v2))
+                    x += factor * net[i0 + a + e, j0 + b + f, 0]
+                    y += factor * net[i0 + a + e, j0 + b + f, 1]
+                    z += factor * net[i0 + a + e, j0 + b + f, 2]
+                    w += factor * net[i0 + a + e, j0 + b + f, 3]
+            if rational:
+                x, y, z = x - cx * w, y - cy * w, z - cz * w
+                steepest = max(steepest, abs(w))
+            longest = max(longest, x * x + y * y + z * z)
+    return np.sqrt(longest), steepest
+
+
+@njit
+def separable_bound(
+    net: Array, knots_u: Array, knots_v: Array, p: int, q: int, i0: int, j0: int, k: int
+) -> float:
+    """A bound on S_u, S_v or S_uv (k) where the span's weights are products a_i b_j, as in every surface of revolution,
+    extrusion and quadric; infinite elsewhere.
+
+    Then S = sum R_i(u) R_j(v) P_ij with rational functions R of one variable. In R_i' = sum_j a_i a_j (N_i' N_j - N_i N_j') / W^2
+    the terms that multiply P_m+1 - P_m after summation by parts are not negative (B-splines are totally positive), so they
+    are at most (max a / min a)^2 times those of equal weights: the polynomial bound times that.
+    """
+    low_u, high_u, low_v, high_v = np.inf, 0.0, np.inf, 0.0
+    corner = net[i0, j0, 3]
+    for a in range(p + 1):
+        for b in range(q + 1):
+            product = net[i0 + a, j0, 3] * net[i0, j0 + b, 3]
+            if abs(net[i0 + a, j0 + b, 3] * corner - product) > 1e-12 * product:
+                return np.inf
+            low_v, high_v = min(low_v, net[i0, j0 + b, 3]), max(high_v, net[i0, j0 + b, 3])
+        low_u, high_u = min(low_u, net[i0 + a, j0, 3]), max(high_u, net[i0 + a, j0, 3])
+    order_u, order_v = (1, 0, 2, 1)[k], (0, 1, 0, 1)[k]
+    longest = 0.0
+    for a in range(p + 1 - order_u):
+        u0, u1, _ = difference(knots_u, p, i0 + a, order_u)
+        for b in range(q + 1 - order_v):
+            v0, v1, _ = difference(knots_v, q, j0 + b, order_v)
+            d = 0.0
+            for c in range(3):
+                x = 0.0
                 for e in range(order_u + 1):
-                    fu = u0 if e == 0 else (u1 if e == 1 else u2)
                     for f in range(order_v + 1):
-                        factor = fu * (v0 if f == 0 else (v1 if f == 1 else v2))
-                        x += factor * net[i0 + a + e, j0 + b + f, 0]
-                        y += factor * net[i0 + a + e, j0 + b + f, 1]
-                        z += factor * net[i0 + a + e, j0 + b + f, 2]
-                        w += factor * net[i0 + a + e, j0 + b + f, 3]
-                if rational:
-                    x, y, z = x - cx * w, y - cy * w, z - cz * w
-                    steepest = max(steepest, abs(w))
-                longest = max(longest, x * x + y * y + z * z)
-        value = np.sqrt(longest)
-        if rational:
-            value += steepest * reach
-            if k == S_UU:
-                value += 2.0 * steepest_u * out[S_U]
-            elif k == S_UV:
-                value += steepest_u * out[S_V] + steepest_v * out[S_U]
-            elif k == S_VV:
-                value += 2.0 * steepest_v * out[S_V]
-            elif k == S_U:
-                steepest_u = steepest
-            else:
-                steepest_v = steepest
-            value /= least
-        out[k] = value
+                        factor = (u0 if e == 0 else u1) * (v0 if f == 0 else v1)
+                        x += factor * net[i0 + a + e, j0 + b + f, c] / net[i0 + a + e, j0 + b + f, 3]
+                d += x * x
+            longest = max(longest, d)
+    ratio = (high_u / low_u if order_u else 1.0) * (high_v / low_v if order_v else 1.0)
+    return ratio * ratio * np.sqrt(longest)
 
 
 @njit

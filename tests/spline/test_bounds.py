@@ -88,3 +88,34 @@ def test_bounds_follow_a_deformation_and_ignore_a_translation():
     assert moved == pytest.approx(derivative_bounds(surface), rel=1e-7, abs=1e-7)
     doubled = derivative_bounds(surface, 2.0 * surface.control_points)
     assert doubled == pytest.approx(2.0 * derivative_bounds(surface), rel=1e-9)
+
+
+def test_a_cylinder_has_no_twist():
+    """Weights that are products: the mixed derivative of an extruded arc is bounded by zero, not by its weights' slope."""
+    c = np.sqrt(0.5)
+    net = np.array([[[x, y, z] for z in (0.0, 30.0)] for x, y in ((5.0, 0.0), (5.0, 5.0), (0.0, 5.0))])
+    weights = np.array([[1.0, 2.0], [c, 2 * c], [1.0, 2.0]])
+    surface = BSplineSurface(net, np.array([0.0, 0, 0, 1, 1, 1]), np.array([0.0, 0, 1, 1]), 2, 1, weights)
+    bounds = derivative_bounds(surface)[0, 0]
+    assert bounds[3] == pytest.approx(0.0, abs=1e-9)
+    d = surface.derivatives(np.linspace(0, 1, 50)[:, None], np.linspace(0, 1, 50), 1)
+    for k, value in enumerate((d[1, 0], d[0, 1])):
+        longest = np.linalg.norm(value, axis=-1).max()
+        assert longest <= bounds[k] <= 4.01 * longest
+
+
+def test_separable_weights_are_bounded_too():
+    rng = np.random.default_rng(21)
+    for _ in range(15):
+        surface = _random_surface(rng, True)
+        r, s = surface.shape
+        from dataclasses import replace
+
+        surface = replace(surface, weights=rng.uniform(0.3, 3, (r, 1)) * rng.uniform(0.3, 3, (1, s)))
+        bounds = derivative_bounds(surface)
+        for a, b, (u0, u1), (v0, v1) in _spans(surface):
+            u = u0 + (u1 - u0) * rng.uniform(1e-6, 1 - 1e-6, 60)
+            v = v0 + (v1 - v0) * rng.uniform(1e-6, 1 - 1e-6, 60)
+            d = surface.derivatives(u, v, 2)
+            for k, value in enumerate((d[1, 0], d[0, 1], d[2, 0], d[1, 1], d[0, 2])):
+                assert np.linalg.norm(value, axis=1).max() <= bounds[a, b, k] * (1 + 1e-9) + 1e-9
