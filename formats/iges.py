@@ -21,6 +21,7 @@ from .._version import __version__
 from ..errors import InputError
 from ..units import conversion, unit_name
 from .atomic import write_whole
+from .iges_entities import damaged_entities
 from .iges_records import IgesFile, parse, text_of
 from .occt import OcctPart
 from .occt_document import (
@@ -69,7 +70,8 @@ def load(path: Path, *, units: str | None = None, probing: bool = False) -> Occt
     if not file.entities:
         raise InputError("this is no IGES file", where=str(path), mend="its lines have S, G, D and P in column 73")
     tried = probing
-    if not tried and (file.broken or not file.complete):
+    file.broken += damaged_entities(file)
+    if not tried and (file.broken or file.disordered or not file.complete):
         ensure_survives(path, "iges")
         tried = True
     warnings = []

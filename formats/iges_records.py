@@ -55,6 +55,8 @@ class IgesFile:
     """Directory entries whose parameters are not there or do not match."""
     crowded: int = 0
     """Parameter lines with a delimiter in column 65, which should be blank; readers that keep to the standard lose it."""
+    disordered: int = 0
+    """Lines whose own number, or whose entity's number, is not the one of their place."""
 
 
 def parse(text: str) -> IgesFile:
@@ -63,7 +65,10 @@ def parse(text: str) -> IgesFile:
     for line in text.splitlines():
         if len(line) > _GLOBAL_WIDTH and line[_GLOBAL_WIDTH] in sections:
             sections[line[_GLOBAL_WIDTH]].append(line)
-    file = IgesFile(start=[line[:_GLOBAL_WIDTH].rstrip() for line in sections["S"]])
+    disordered = sum(
+        _integer(line[_GLOBAL_WIDTH + 1 : 80]) != n for rows in sections.values() for n, line in enumerate(rows, 1)
+    )
+    file = IgesFile(disordered=disordered, start=[line[:_GLOBAL_WIDTH].rstrip() for line in sections["S"]])
     header = "".join(line[:_GLOBAL_WIDTH] for line in sections["G"])
     file.separator, file.terminator = _delimiters(header)
     file.header = tokens(header, file.separator, file.terminator)
@@ -77,6 +82,8 @@ def parse(text: str) -> IgesFile:
         begin, count = _integer(fields[1]), _integer(fields[13])
         own = lines[begin - 1 : begin - 1 + count] if begin > 0 else []
         parameters = tokens("".join(own), file.separator, file.terminator)
+        backs = sections["P"][begin - 1 : begin - 1 + count] if begin > 0 else []
+        file.disordered += sum(_integer(line[_WIDTH + 1 : _GLOBAL_WIDTH].strip(" ,;")) != i + 1 for line in backs)
         if not parameters or _integer(parameters[0]) != _integer(fields[0]):
             file.broken += 1
         file.entities.append(Entity(i + 1, fields, parameters))

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit
-from .grid import Patch, grown
 from .tri_tri import WORK, tri_tri
+from .workspace import Patch, grown
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

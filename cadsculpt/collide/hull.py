@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..jit import njit
 from ..spline.surface import BSplineSurface
-from .grid import Patch
+from .workspace import Patch
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit
-from .grid import Patch, canonical, grown, make_points
 from .spheres import make_spheres
+from .workspace import Patch, canonical, grown, make_points
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

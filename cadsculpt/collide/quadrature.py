@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..jit import njit, njit_inline
 from ..spline.bounds import S_UU, S_UV, S_VV, span_bounds
-from .closest import approach
-from .grid import Patch, canonical, grown, make_points
+from .newton import approach
 from .spheres import distance2
+from .workspace import Patch, canonical, grown, make_points
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..jit import njit, njit_inline
 from ..spline.bounds import S_UU, S_UV, S_VV, span_bounds
-from .grid import Patch, canonical, make_points
+from .workspace import Patch, canonical, make_points
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

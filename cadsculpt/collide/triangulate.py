@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit
-from .grid import Patch, PatchGrid, Workspace, canonical, grown, make_points
+from .grid import PatchGrid
 from .spheres import distance2
+from .workspace import Patch, Workspace, canonical, grown, make_points
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

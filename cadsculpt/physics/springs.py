@@ -25,6 +25,11 @@ TINY = 1e-300
 """Added to squared lengths: springs between two nodes of one point have no direction, and no force either."""
 
 
+SHORTEST, LONGEST = 0.4, 2.5
+"""Plastic flow changes a spring's rest length to no less and no more than these multiples: clay that is dense, foil that is
+drawn out. A cell squeezed to nothing would turn inside out."""
+
+
 @njit
 def _lengths(xa: Array, xb: Array, ya: Array, yb: Array, za: Array, zb: Array, length: Array) -> None:
     for m in range(len(length)):
@@ -47,7 +52,7 @@ def _flow(length: Array, initial: Array, strain: Array, hardening: Array, rest: 
         trial = soft * length[m] - rest[m] + hardening[m] * initial[m]
         limit = soft * strain[m] * initial[m]
         over = trial - limit if trial > limit else (trial + limit if trial < -limit else 0.0)
-        rest[m] += over
+        rest[m] = min(max(rest[m] + over, SHORTEST * initial[m]), LONGEST * initial[m])
 
 
 @njit

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from cadsculpt.collide.closest import approach, basis_2, closest_points
+from cadsculpt.collide.closest import closest_points
 from cadsculpt.collide.grid import PatchGrid
+from cadsculpt.collide.newton import approach, basis_2
 from cadsculpt.spline.surface import BSplineSurface
 
 

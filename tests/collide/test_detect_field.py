@@ -79,8 +79,9 @@ def test_the_paper_misses_some_of_them(shapes):
     rng = np.random.default_rng(20)
     missed = 0
     for _ in range(60):
-        surface = shapes.random_surface(rng, bumps=1.0)
-        grid = PatchGrid.of(surface, 30)
+        # few spans, deep folds: the surface bulges out of the spheres through its samples
+        surface = shapes.random_surface(rng, bumps=6.0, most=2)
+        grid = PatchGrid.of(surface, 60)
         centre = surface.evaluate(rng.uniform(-1, 4), rng.uniform(0, 0.5)) + [0, 0, 0.3]
         tool = shapes.Sphere(centre, 0.5)
         ours = _detect(grid, tool).contacts
@@ -116,7 +117,7 @@ def test_areas_do_not_depend_on_the_parametrisation(shapes):
     crowded[..., 0] = 10 * (crowded[..., 0] / 10) ** 2
     for net in (sheet.control_points, crowded):
         grid = PatchGrid.of(sheet.with_control_points(net), 101)
-        contacts = _detect(grid, shapes.Sphere([5, 5, 0], 20.0)).contacts
+        contacts = _detect(grid, shapes.Sphere([5.01, 5.02, 0.1], 20.0)).contacts
         assert contacts.area.sum() == pytest.approx(100.0, rel=1e-9)
         assert len(contacts) == grid.shape[0] * grid.shape[1]
 

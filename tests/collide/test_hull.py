@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from cadsculpt.collide.grid import PatchGrid, Workspace
+from cadsculpt.collide.grid import PatchGrid
 from cadsculpt.collide.hull import apart, convex_hull, greville, paper_window, span_pairs
+from cadsculpt.collide.workspace import Workspace
 
 
 def _in_hull(point, points):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cadsculpt.collide.grid import PatchGrid, Workspace
+from cadsculpt.collide.grid import PatchGrid
 from cadsculpt.collide.spheres import make_spheres, smallest_sphere, sphere_of
+from cadsculpt.collide.workspace import Workspace, make_points
 from cadsculpt.errors import GeometryError
 
 
@@ -141,8 +142,6 @@ def test_points_of_the_sparse_rows_are_those_of_the_matrices(shapes):
         surface = shapes.random_surface(np.random.default_rng(9), rational=rational)
         grid = PatchGrid.of(surface, 17)
         g = _load(grid, surface.control_points)
-        from cadsculpt.collide.grid import make_points
-
         make_points(g, np.arange(grid.shape[0] * grid.shape[1]), grid.shape[0] * grid.shape[1])
         expected = grid.matrices.points(surface.control_points, surface.weights)
         assert g.points.reshape(*grid.shape, 3) == pytest.approx(expected, rel=1e-13, abs=1e-13)

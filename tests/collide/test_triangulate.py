@@ -7,8 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from cadsculpt.collide.grid import PatchGrid, Workspace
+from cadsculpt.collide.grid import PatchGrid
 from cadsculpt.collide.triangulate import triangulate, whole_mesh
+from cadsculpt.collide.workspace import Workspace
 
 
 def _edges(triangles):

@@ -1,0 +1,252 @@
+"""What is asked of a collision detection, and what it answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import GeometryError, InputError
+from .contacts import Contacts
+from .grid import PatchGrid
+from .workspace import Patch, Workspace, extent_of
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Mode = Literal["certified", "paper"]
+
+
+class DistanceField(Protocol):
+    """An implicit tool, posed in the world."""
+
+    def distance(self, points: Array) -> Array:
+        """Signed distance (n,) at points (n, 3), negative inside, 1-Lipschitz."""
+        ...
+
+    def gradient(self, points: Array) -> Array:
+        """Unit normal (n, 3) of the tool, outward, at the point of its surface nearest to each of (n, 3)."""
+        ...
+
+    def nearest(self, points: Array) -> Array:
+        """The nearest points (n, 3) of the tool's surface to points (n, 3)."""
+        ...
+
+    def box(self) -> Array:
+        """Low and high corner (2, 3) of the tool in the world; may hold infinities."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldTool:
+    """A tool given by its signed distance."""
+
+    field: DistanceField
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointTool:
+    """A point at position (3,). area : the piece of surface that its contact stands for. reach : how far behind the nearest
+    face the point may lie and still be in contact with it; give the thickness of a sheet, leave it for a solid."""
+
+    position: Array
+    area: float
+    reach: float = np.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceTool:
+    """B-spline patches with their control points (r, s, 3) in the world; each patch's `outward` is out of the tool.
+
+    reach : how deep behind an open tool (a sheet, a cap) a model is still in contact where the two do not cross, as when
+    flat is pressed on flat. What crosses the tool, or lies inside a closed one, is found at any depth.
+    """
+
+    grids: tuple[PatchGrid, ...]
+    nets: tuple[Array, ...]
+    reach: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class DetectOptions:
+    """mode : see the module. tolerance : cells whose triangles lie within it of the surface are not refined (certified), and
+    prints of tools below it are not looked for, in the scene's unit. delta : angle between normals below which the paper mode
+    does not refine, in radians. margin : contacts with depth >= -margin are reported, so that what comes near can be watched.
+    """
+
+    mode: Mode = "certified"
+    tolerance: float = 0.0
+    delta: float = float(np.radians(0.5))
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.mode not in ("certified", "paper"):
+            raise InputError(f"collision mode {self.mode!r}", mend="use certified or paper")
+        for name in ("tolerance", "delta", "margin"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"a collision {name} of {value}", mend="give a number that is not negative")
+
+
+@dataclass(slots=True)
+class Counters:
+    """What the pipeline did, counted: the operations of the paper's figures 8 and 9."""
+
+    hull_tests: int = 0
+    spans: int = 0
+    points: int = 0
+    spheres: int = 0
+    sphere_tests: int = 0
+    triangles: int = 0
+    triangle_tests: int = 0
+    crossing_pairs: int = 0
+    levels: int = 0
+
+    def add(self, other: Counters) -> None:
+        """Add another count to this one."""
+        for f in fields(self):
+            setattr(self, f.name, getattr(self, f.name) + getattr(other, f.name))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossings:
+    """n pairs of triangles that meet, in a fixed order.
+
+    face (n,) : model patch. tool, tool_face (n,) : tool and its patch. model_triangle, tool_triangle (n, 3) : vertices of the
+    finest grids, i n + j. relation (n,) : `tri_tri.Relation`. segment (n, 2, 3) : where they meet; NaN for coplanar ones.
+    """
+
+    face: Index
+    tool: Index
+    tool_face: Index
+    model_triangle: Index
+    tool_triangle: Index
+    relation: Index
+    segment: Array
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Crossings]) -> Crossings:
+        """All crossings of several sets, sorted."""
+        i, t = np.zeros(0, np.int64), np.zeros((0, 3), np.int64)
+        parts = [part for part in parts if len(part)] or [cls(i, i, i, t, t, i, np.zeros((0, 2, 3)))]
+        columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)}
+        keys = [columns[name] for name in ("face", "tool", "tool_face")]
+        keys += [*columns["model_triangle"].T, *columns["tool_triangle"].T]
+        order = np.lexsort(keys[::-1])
+        return cls(**{name: np.ascontiguousarray(value[order]) for name, value in columns.items()})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """contacts : with all tools. counters : work done. crossings : triangles that meet, of surface tools."""
+
+    contacts: Contacts
+    counters: Counters
+    crossings: Crossings = field(default_factory=lambda: Crossings.joined([]))
+
+
+@dataclass(slots=True, eq=False)
+class DetectCache:
+    """What one body's detections reuse from call to call: workspaces, and the last separating axes. Not for two threads.
+
+    It changes how long a detection takes and what it counts, never its contacts.
+    """
+
+    counters: Index = field(default_factory=lambda: np.zeros(len(fields(Counters)), dtype=np.int64))
+    workspaces: dict[tuple[int, int], Workspace] = field(default_factory=dict)
+    axes: dict[tuple[int, int, int], Array] = field(default_factory=dict)
+
+    def workspace(self, key: tuple[int, int], grid: PatchGrid) -> Workspace:
+        """The workspace of one patch: key is (-1, face) for the model's, (tool, patch) for a tool's."""
+        work = self.workspaces.get(key)
+        if work is None or work.grid is not grid:
+            work = self.workspaces[key] = Workspace(grid, self.counters)
+        return work
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One call of `detect`: what its parts share. extents (n, 2, 3) : boxes of the model's nets."""
+
+    grids: Sequence[PatchGrid]
+    nets: Sequence[Array]
+    options: DetectOptions
+    cache: DetectCache
+    body: int
+    extents: Array
+
+    @property
+    def paper(self) -> bool:
+        return self.options.mode == "paper"
+
+    def load(self, key: tuple[int, int], grid: PatchGrid, net: Array) -> tuple[Workspace, Patch]:
+        work = self.cache.workspace(key, grid)
+        return work, work.load(net, paper=self.paper, delta=self.options.delta if self.paper else 0.0)
+
+    def model(self, face: int) -> tuple[Workspace, Patch]:
+        return self.load((-1, face), self.grids[face], self.nets[face])
+
+    def cell_sizes(self) -> Array:
+        """About the diagonal of a finest cell of each of the model's patches: (n,)."""
+        cells = np.array([max(min(grid.shape) - 1, 1) for grid in self.grids])
+        return np.asarray(np.linalg.norm(self.extents[:, 1] - self.extents[:, 0], axis=1) / cells)
+
+    def near(self, low: Array, high: Array, margin: float | Array) -> Index:
+        """The model's patches whose boxes come within the margin (one for all, or (n, 1)) of a box."""
+        self.cache.counters[0] += len(self.extents)
+        meets = (self.extents[:, 0] <= high + margin) & (self.extents[:, 1] >= low - margin)
+        return np.flatnonzero(meets.all(axis=1))
+
+    def rows(
+        self, tool: int, face: int, uv: Array, point: Array, normal: Array, depth: Array, area: Array, tool_point: Array
+    ) -> Contacts:
+        """Contacts of one patch with one tool: those with depth >= -margin. NaN is an error, not "clear"."""
+        if np.isnan(depth).any():
+            raise InputError("a distance to the tool is not a number", where=f"tool {tool}")
+        keep = depth >= -self.options.margin
+        if not keep.all():
+            uv, point, normal, tool_point = uv[keep], point[keep], normal[keep], tool_point[keep]
+            depth, area = depth[keep], area[keep]
+        a, b, c = (np.full(len(depth), value, dtype=np.int64) for value in (self.body, tool, face))
+        u, v = np.ascontiguousarray(uv[:, 0]), np.ascontiguousarray(uv[:, 1])
+        return Contacts(a, b, c, u, v, point, normal, depth, area, tool_point)
+
+
+def extents_of(nets: Sequence[Array], whose: str) -> Array:
+    """Boxes (n, 2, 3) of nets. Raises GeometryError for one that is not finite."""
+    out = np.empty((len(nets), 2, 3))
+    for k, net in enumerate(nets):
+        extent_of(net if net.flags.writeable and net.flags.c_contiguous else np.array(net, dtype=np.float64), out[k])
+    if not np.isfinite(out).all():
+        k = int(np.flatnonzero(~np.isfinite(out).all(axis=(1, 2)))[0])
+        raise GeometryError("a control point is not finite", where=f"patch {k} of the {whose}")
+    return out
+
+
+def on_face(grid: PatchGrid, uv: Array) -> Mask:
+    """Which of the points uv (n, 2) lie on the trimmed face: by the grid inside whole cells, by the trim curves elsewhere."""
+    if grid.inside is None:
+        return np.ones(len(uv), dtype=np.bool_)
+    from ..spline.trim import inside
+
+    i = np.clip(np.searchsorted(grid.matrices.u, uv[:, 0], side="right") - 1, 0, grid.shape[0] - 2)
+    j = np.clip(np.searchsorted(grid.matrices.v, uv[:, 1], side="right") - 1, 0, grid.shape[1] - 2)
+    corners = np.stack([grid.inside[i + a, j + b] for a in (0, 1) for b in (0, 1)])
+    out = corners.all(axis=0)
+    for k in np.flatnonzero(corners.any(axis=0) & ~out):
+        out[k] = inside(grid.surface, uv[k, :1], uv[k, 1:])[0, 0]
+    return out
+
+
+def finest_size(run: Run, g: Patch) -> float:
+    """The size below which nothing is looked for: the tolerance, or a thousandth of a mean cell where there is none."""
+    if run.options.tolerance > 0:
+        return run.options.tolerance
+    size = float(np.linalg.norm(g.box[:, 3:] - g.box[:, :3], axis=1).mean())
+    return max(1e-3 * size * (g.count[0, 0] / g.count[-1, 0]), 16.0 * g.slack)

@@ -1,0 +1,308 @@
+"""Surface Discretization (paper section 4.4): points on a patch, made where something asks for them.
+
+`Workspace` holds what follows the control points: points, spheres and bounds, each made only when it is wanted, by the
+sparse rows of the transformation matrices (degree + 1 nonzeros each), and kept until the net changes. Kernels see it, and
+the patch's grid, as one `Patch`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import GeometryError
+from ..jit import njit, njit_inline
+from .grid import PatchGrid
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+ROUND_OFF = 64 * 2.0**-52
+"""Rounding of an evaluated point relative to the largest coordinate: a few units in the last place per basis product."""
+
+CLOSED = 1e-9
+"""Edges and poles count as closed when they agree to this fraction of the net's size."""
+
+
+class Patch(NamedTuple):
+    """What kernels see of one patch and its net.
+
+    Cells: level 0 is the knot spans, level L > 0 the cells between the rows of stride strides[L - 1]. A cell is (L, ku, kv),
+    its place in arrays over all cells offset[L] + ku * count[L, 1] + kv. Vertices are flat: i * n + j.
+    """
+
+    net: Array
+    knots_u: Array
+    knots_v: Array
+    degree_u: int
+    degree_v: int
+    rational: bool
+    wrap_u: bool
+    wrap_v: bool
+    poles: int
+    flip: float
+    u: Array
+    v: Array
+    first_u: Index
+    first_v: Index
+    rows_u: Array
+    rows_v: Array
+    span_u: Index
+    span_v: Index
+    row_u: Index
+    row_v: Index
+    child_u: Index
+    child_v: Index
+    count: Index
+    offset: Index
+    covers: Mask
+    inside: Mask
+    half: Array
+    half_stamp: Index
+    points: Array
+    point_stamp: Index
+    spheres: Array
+    sphere_stamp: Index
+    box: Array
+    bounds: Array
+    bounds_stamp: Index
+    mark: Index
+    slot: Index
+    visit: Index
+    depth: Array
+    cell_area: Array
+    area_stamp: Index
+    tick: int
+    slack: float
+    paper: bool
+    delta: float
+    counters: Index
+
+
+@dataclass(slots=True, eq=False)
+class Workspace:
+    """What follows one patch's control points; one per patch and place where it is used, reused from step to step."""
+
+    grid: PatchGrid
+    counters: Index
+    patch: Patch = field(init=False)
+    extent: Array = field(init=False)
+    _flags: Index = field(init=False)
+    _mark: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        grid, (m, n), (r, s) = self.grid, self.grid.shape, self.grid.surface.shape
+        cells, spans = int(grid.offset[-1]), (int(grid.count[0, 0]), int(grid.count[0, 1]))
+        surface, matrices = grid.surface, grid.matrices
+        zeros = lambda *shape: np.zeros(shape, dtype=np.int64)  # noqa: E731
+        self.extent = np.full((2, 3), np.nan)
+        self._flags = zeros(3)
+        self.patch = Patch(
+            net=np.full((r, s, 4), np.nan),
+            knots_u=grid.knots_u, knots_v=grid.knots_v, degree_u=surface.degree_u, degree_v=surface.degree_v,
+            rational=surface.rational, wrap_u=False, wrap_v=False, poles=0, flip=1.0 if surface.outward else -1.0,
+            u=matrices.u, v=matrices.v, first_u=matrices.first_u, first_v=matrices.first_v,
+            rows_u=matrices.rows_u, rows_v=matrices.rows_v, span_u=grid.span_u, span_v=grid.span_v,
+            row_u=grid.row_u, row_v=grid.row_v, child_u=grid.child_u, child_v=grid.child_v,
+            count=grid.count, offset=grid.offset, covers=grid.covers, inside=grid.on_face,
+            half=np.empty((m, s, 4)), half_stamp=zeros(m), points=np.empty((m * n, 3)), point_stamp=zeros(m * n),
+            spheres=np.empty((cells, 5)), sphere_stamp=zeros(cells), box=np.empty((spans[0] * spans[1], 6)),
+            bounds=np.empty((*spans, 5)), bounds_stamp=zeros(*spans),
+            mark=zeros(cells), slot=zeros(cells), visit=zeros(m * n), depth=np.empty(m * n),
+            cell_area=np.empty(m * n), area_stamp=zeros(m * n),
+            tick=0, slack=0.0, paper=False, delta=0.0, counters=self.counters,
+        )  # fmt: skip
+
+    def load(self, net: Array, *, paper: bool, delta: float) -> Patch:
+        """The patch over control points net (r, s, 3). What was computed stays when they are the same as before.
+
+        Raises GeometryError when a control point is not finite or the net has another shape.
+        """
+        net = np.ascontiguousarray(net, dtype=np.float64)
+        patch = self.patch
+        if net.shape != (*self.grid.surface.shape, 3):
+            raise GeometryError(f"a net of shape {net.shape} for a surface of {self.grid.surface.shape} control points")
+        if not net.flags.writeable:
+            net = net.copy()  # one type of array for the kernels
+        changed = load(
+            net, self.grid.weights, patch.net, patch.rows_u, patch.first_u, patch.rows_v, patch.first_v,
+            patch.row_u, patch.row_v, patch.count, patch.box, self.extent, self._flags,
+        )  # fmt: skip
+        if changed < 0:
+            raise GeometryError("a control point is not finite", where=self.grid.surface.name or "surface")
+        if changed or patch.tick == 0 or patch.paper != paper or patch.delta != delta:
+            wrap_u, wrap_v, poles = (int(flag) for flag in self._flags)
+            self.patch = patch._replace(
+                wrap_u=bool(wrap_u), wrap_v=bool(wrap_v), poles=poles, tick=patch.tick + 1,
+                slack=ROUND_OFF * float(np.abs(self.extent).max()), paper=paper, delta=delta,
+            )  # fmt: skip
+        return self.patch
+
+    def new_mark(self) -> int:
+        """A number that no entry of `mark` and `visit` holds yet."""
+        self._mark += 2
+        return self._mark
+
+
+@njit
+def grown(rows: Index) -> Index:
+    """The same rows in an array twice as long."""
+    longer = np.empty((2 * len(rows), rows.shape[1]), np.int64)
+    for i in range(len(rows)):
+        for c in range(rows.shape[1]):
+            longer[i, c] = rows[i, c]
+    return longer
+
+
+@njit
+def extent_of(net: Array, out: Array) -> None:
+    """The axis-aligned box of a net (r, s, 3), into out (2, 3): NaN anywhere makes it NaN."""
+    for c in range(3):
+        out[0, c], out[1, c] = net[0, 0, c], net[0, 0, c]
+    for i in range(net.shape[0]):
+        for j in range(net.shape[1]):
+            for c in range(3):
+                x = net[i, j, c]
+                if np.isnan(x):
+                    out[:] = np.nan
+                    return
+                out[0, c] = min(out[0, c], x)
+                out[1, c] = max(out[1, c], x)
+
+
+@njit
+def load(
+    net: Array, weights: Array, target: Array, rows_u: Array, first_u: Index, rows_v: Array, first_v: Index,
+    row_u: Index, row_v: Index, count: Index, box: Array, extent: Array, flags: Index,
+) -> int:  # fmt: skip
+    """Take in a net: homogeneous points, box, span boxes, closed directions and poles. 0: unchanged; 1: new; -1: not finite.
+
+    box (spans, 6): low and high corner of each span's own (k+1)(l+1) control points. flags: closed in u, in v, poles (1, 2:
+    first and last row of the grid; 4, 8: first and last column).
+    """
+    r, s = net.shape[0], net.shape[1]
+    same = True
+    for i in range(r):
+        for j in range(s):
+            w = weights[i, j]
+            for c in range(3):
+                x = w * net[i, j, c]
+                same = same and target[i, j, c] == x
+                target[i, j, c] = x
+            target[i, j, 3] = w
+    if same:
+        return 0
+    extent_of(net, extent)
+    size = 0.0
+    for c in range(3):
+        if not (np.isfinite(extent[0, c]) and np.isfinite(extent[1, c])):
+            target[:] = np.nan
+            return -1
+        size = max(size, extent[1, c] - extent[0, c])
+    p, q = rows_u.shape[2], rows_v.shape[2]
+    spans_u, spans_v = count[0, 0], count[0, 1]
+    for a in range(spans_u):
+        i0 = first_u[row_u[0, a]]
+        for b in range(spans_v):
+            j0 = first_v[row_v[0, b]]
+            k = a * spans_v + b
+            for c in range(3):
+                low, high = net[i0, j0, c], net[i0, j0, c]
+                for i in range(i0, i0 + p):
+                    for j in range(j0, j0 + q):
+                        low = min(low, net[i, j, c])
+                        high = max(high, net[i, j, c])
+                box[k, c], box[k, 3 + c] = low, high
+    # the four edge curves, as control points of curves along the other direction
+    flags[2] = 0
+    edge = np.empty((2, max(r, s), 3))
+    for direction in range(2):
+        length = s if direction == 0 else r
+        rows = rows_u if direction == 0 else rows_v
+        first = first_u if direction == 0 else first_v
+        for end in range(2):
+            row = 0 if end == 0 else rows.shape[1] - 1
+            for k in range(length):
+                x, y, z, w = 0.0, 0.0, 0.0, 0.0
+                for e in range(rows.shape[2]):
+                    f = first[row] + e
+                    i, j = (f, k) if direction == 0 else (k, f)
+                    x += rows[0, row, e] * target[i, j, 0]
+                    y += rows[0, row, e] * target[i, j, 1]
+                    z += rows[0, row, e] * target[i, j, 2]
+                    w += rows[0, row, e] * target[i, j, 3]
+                edge[end, k, 0], edge[end, k, 1], edge[end, k, 2] = x / w, y / w, z / w
+        closed = True
+        for k in range(length):
+            for c in range(3):
+                closed = closed and abs(edge[0, k, c] - edge[1, k, c]) <= CLOSED * size
+        flags[direction] = closed
+        for end in range(2):
+            pole = True
+            for k in range(length):
+                for c in range(3):
+                    pole = pole and abs(edge[end, k, c] - edge[end, 0, c]) <= CLOSED * size
+            if pole:
+                flags[2] |= 1 << (2 * direction + end)
+    return 1
+
+
+@njit_inline
+def canonical(i: int, j: int, m: int, n: int, wrap_u: bool, wrap_v: bool, poles: int) -> int:
+    """The flat name of the vertex (i, j): one for both sides of a closed seam, one for a whole pole."""
+    if wrap_u and i == m - 1:
+        i = 0
+    if wrap_v and j == n - 1:
+        j = 0
+    if poles != 0:
+        if (poles & 1 and i == 0) or (poles & 2 and i == m - 1):
+            j = 0
+        if (poles & 4 and j == 0) or (poles & 8 and j == n - 1):
+            i = 0
+    return i * n + j
+
+
+@njit
+def make_points(g: Patch, names: Index, count: int) -> None:
+    """The points of the vertices names[:count], each made once per net (paper eq. 2, one sparse row against one column)."""
+    tick, n, s = g.tick, len(g.v), g.net.shape[1]
+    net, half, half_stamp, points, stamp = g.net, g.half, g.half_stamp, g.points, g.point_stamp
+    first_u, first_v, rows_u, rows_v = g.first_u, g.first_v, g.rows_u, g.rows_v
+    order_u, order_v, rational = g.degree_u + 1, g.degree_v + 1, g.rational
+    made = 0
+    for t in range(count):
+        k = names[t]
+        if stamp[k] == tick:
+            continue
+        stamp[k] = tick
+        made += 1
+        i, j = k // n, k % n
+        if half_stamp[i] != tick:
+            # half[i]: the control points of the iso-curve u = u_i
+            half_stamp[i] = tick
+            f = first_u[i]
+            e = rows_u[0, i, 0]
+            for b in range(s):
+                for c in range(4):
+                    half[i, b, c] = e * net[f, b, c]
+            for a in range(1, order_u):
+                e = rows_u[0, i, a]
+                for b in range(s):
+                    for c in range(4):
+                        half[i, b, c] += e * net[f + a, b, c]
+        x, y, z, w = 0.0, 0.0, 0.0, 0.0
+        f = first_v[j]
+        for b in range(order_v):
+            e = rows_v[0, j, b]
+            x += e * half[i, f + b, 0]
+            y += e * half[i, f + b, 1]
+            z += e * half[i, f + b, 2]
+            w += e * half[i, f + b, 3]
+        if rational:
+            x, y, z = x / w, y / w, z / w
+        points[k, 0], points[k, 1], points[k, 2] = x, y, z
+    g.counters[2] += made
