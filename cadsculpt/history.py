@@ -100,7 +100,7 @@ class History:
             flags = flags[:, [body], :]
         if tool is not None:
             flags = flags[:, :, [tool]]
-        return flags.any(axis=(1, 2))
+        return np.asarray(flags.any(axis=(1, 2)))
 
     def arrays(self) -> dict[str, Array]:
         """Everything as arrays, for a checkpoint."""

@@ -136,7 +136,7 @@ def build_patch(
         material=materials,
         cell_material=np.where(on_face, index, 1),
         wrap=(nodes.wrap_u, nodes.wrap_v),
-        period=tuple(end - start for start, end in surface.domain),
+        period=(surface.domain[0][1] - surface.domain[0][0], surface.domain[1][1] - surface.domain[1][0]),
         anchored=_anchored(spec, face, nodes, held_edges),
         metres_per_unit=unit,
     )

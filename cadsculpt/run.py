@@ -102,7 +102,8 @@ class _Farthest:
         self._net = self._net or [None] * len(self.rest)
         for i, (patch, rest) in enumerate(zip(session.model.patches, self.rest, strict=True)):
             net = session.state.control_points[i]
-            if self._net[i] is not None and np.array_equal(net, self._net[i]):
+            seen = self._net[i]
+            if seen is not None and np.array_equal(net, seen):
                 continue
             self._net[i] = net
             distance = np.linalg.norm(patch.grid.matrices.points(net, patch.surface.weights) - rest, axis=2)

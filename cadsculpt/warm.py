@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from .collide.detect import DetectOptions, PatchGrid, detect
 from .model import SourceBody, build_model
 from .motion.path import ToolPath
 from .motion.pose import Pose
@@ -13,6 +14,7 @@ from .patch import SourceFace
 from .scene import Scene
 from .session import Session
 from .spline.surface import BSplineSurface
+from .tools.make import make_tool
 
 
 def warm_up(scene: Scene) -> None:
@@ -35,11 +37,43 @@ def warm_up(scene: Scene) -> None:
     low = {"point": -0.1, "sphere": 2.9, "surface": -0.1}
     paths = {kind: ToolPath.resting(Pose(np.array([5.0, 5.0, low[kind]]))) for kind in kinds}
     plate = _plate(10.0, 0.0)
+    # collision first: a second process may be at work on the lattice's kernels meanwhile
+    grid = PatchGrid.of(plate, 13)
+    for spec in tiny.tool:
+        tool = make_tool(spec, 2.0, 13, [_plate(4.0, 0.2)])
+        detect([grid], [plate.control_points], [tool.placed(paths[spec.name].pose(0.0))], DetectOptions())
     body = SourceBody("plate", (SourceFace(1, "plate", plate),))
     session = Session(build_model(tiny, [body], paths, {"surface": [_plate(4.0, 0.2)]}))
     for _ in range(2):
         session.step()
     session.refit_error(0)
+
+
+def warm_physics() -> None:
+    """The lattice's kernels alone: for a second process, beside one that compiles the rest."""
+    from .physics.explicit import ContactLoad, LatticeState, advance
+    from .physics.forces import contact_damping, contact_stiffness, node_weights
+    from .physics.lattice import build_lattice
+    from .physics.material import PRESETS
+    from .physics.measures import nodal_stress
+
+    u = np.linspace(0.0, 1.0, 4)
+    plate = _plate(10.0, 0.0)
+    clay = PRESETS["clay"]
+    lattice = build_lattice(
+        plate.evaluate(u[:, None], u), -plate.normal(u[:, None], u), u, u,
+        thickness=2.0, layers=2, material=[clay, clay], metres_per_unit=1e-3,
+    )  # fmt: skip
+    state = LatticeState.at_rest(lattice)
+    stiffness = contact_stiffness(clay, 2.0, 2.0, 1e-3)
+    nodes, weights = node_weights(lattice, [0.5], [0.5])
+    one = np.ones(1)
+    load = ContactLoad(
+        nodes, weights, np.array([[0.0, 0.0, 1.0]]), 0.1 * one, one, np.zeros((1, 3)),
+        stiffness * one, contact_damping(clay, stiffness, lattice) * one, 0.4 * one,
+    )  # fmt: skip
+    advance(lattice, state, load, 1e-4)
+    nodal_stress(lattice, state)
 
 
 def _plate(size: float, dome: float) -> BSplineSurface:

@@ -16,16 +16,6 @@ if TYPE_CHECKING:
     from ..formats.part import Face, Part
     from ..spline.surface import BSplineSurface
 
-FORMATS = {
-    ".step": "step",
-    ".stp": "step",
-    ".iges": "iges",
-    ".igs": "iges",
-    ".3dm": "3dm",
-    ".json": "json",
-}
-"""What an extension stands for; NAME.geomdl.json is the JSON of NURBS-Python."""
-
 
 @click.command("convert")
 @click.argument("source", type=click.Path(path_type=Path), metavar="IN")
@@ -67,14 +57,19 @@ def command(source: Path, target: Path, faces: tuple[str, ...], units: str | Non
 
 
 def format_of(target: Path) -> str:
-    """The format that a file's name asks for. Raises InputError for a name that asks for none."""
-    name = target.name.lower()
-    if name.endswith(".geomdl.json"):
+    """The format that a file's name asks for. Raises InputError for a name that asks for none.
+
+    NAME.geomdl.json is the JSON of NURBS-Python.
+    """
+    from ..formats.registry import SUFFIXES
+
+    if target.name.lower().endswith(".geomdl.json"):
         return "geomdl"
-    if target.suffix.lower() not in FORMATS:
-        raise InputError(f"no format is known by {target.suffix or 'no extension'!r}", where=str(target),
-                         mend=f"use one of {', '.join(FORMATS)}, .geomdl.json")  # fmt: skip
-    return FORMATS[target.suffix.lower()]
+    suffix = target.suffix.lower()
+    if suffix not in SUFFIXES:
+        known = ", ".join([*SUFFIXES, ".geomdl.json"])
+        raise InputError(f"no format is known by {suffix or 'no extension'!r}", where=str(target), mend=f"use {known}")
+    return SUFFIXES[suffix]
 
 
 def chosen_faces(part: Part, names: tuple[str, ...]) -> list[Face]:

@@ -73,7 +73,8 @@ class FaceSurvey:
         while len(found) < most and left.max() > 0.25 * self.room.max():
             i, j = np.unravel_index(int(np.argmax(left)), left.shape)
             point, normal, room = self.points[i, j], self.normals[i, j], float(left[i, j])
-            free = free_radius(point, normal, cloud)
+            # nearer points are the place itself, or a copy of the face
+            free = free_radius(point, normal, cloud[np.linalg.norm(cloud - point, axis=1) > 1e-4 * room])
             found.append(Spot(float(self.u[i]), float(self.v[j]), point, normal, room, free))
             left = np.where(np.linalg.norm(self.points - point, axis=2) < 0.5 * room, 0.0, left)
         return found

@@ -7,6 +7,7 @@ curves on surfaces, bounded and trimmed surfaces and boundary representations ho
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 from .iges_records import Entity, IgesFile
 
@@ -100,7 +101,26 @@ def _sound_spline(p: list[str]) -> bool:
     begin = 0
     for length, m in zip(lengths, degree, strict=True):
         knots = reals[begin : begin + length]
-        if any(b < a for a, b in zip(knots[:-1], knots[1:], strict=True)) or knots[m] >= knots[-m - 1]:
+        if any(b < a for a, b in pairwise(knots)) or knots[m] >= knots[-m - 1]:
             return False
         begin += length
     return all(weight > 0.0 for weight in reals[begin : begin + poles])
+
+
+def creased_surfaces(file: IgesFile) -> int:
+    """How many B-spline surfaces (128) have inner knots repeated as often as the degree, where they may have a crease."""
+    return sum(entity.type == 128 and _creased(entity.parameters) for entity in file.entities)
+
+
+def _creased(p: list[str]) -> bool:
+    if not _sound_spline(p):
+        return False
+    upper, degree = [int(p[1]), int(p[2])], [int(p[3]), int(p[4])]
+    begin = 10
+    for k, m in zip(upper, degree, strict=True):
+        knots = [number(token) for token in p[begin : begin + k + m + 2]]
+        inner = knots[m + 1 : k + 1]
+        if any(knots[m] != knot != knots[-m - 1] and inner.count(knot) >= m for knot in set(inner)):
+            return True
+        begin += k + m + 2
+    return False

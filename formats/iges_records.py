@@ -66,7 +66,7 @@ def parse(text: str) -> IgesFile:
         if len(line) > _GLOBAL_WIDTH and line[_GLOBAL_WIDTH] in sections:
             sections[line[_GLOBAL_WIDTH]].append(line)
     disordered = sum(
-        _integer(line[_GLOBAL_WIDTH + 1 : 80]) != n for rows in sections.values() for n, line in enumerate(rows, 1)
+        _integer(line[_GLOBAL_WIDTH + 1 : 80]) != n for letter in "SGDP" for n, line in enumerate(sections[letter], 1)
     )
     file = IgesFile(disordered=disordered, start=[line[:_GLOBAL_WIDTH].rstrip() for line in sections["S"]])
     header = "".join(line[:_GLOBAL_WIDTH] for line in sections["G"])
@@ -116,6 +116,8 @@ def _delimiters(header: str) -> tuple[str, str]:
 
 def tokens(text: str, separator: str = ",", terminator: str = ";") -> list[str]:
     """Free-format parameters up to the record delimiter; strings (5Hhello) may hold delimiters."""
+    if "H" not in text:
+        return [token.strip() for token in text.split(terminator, 1)[0].split(separator)] if text.strip() else []
     found: list[str] = []
     at = 0
     while at < len(text):

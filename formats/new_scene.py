@@ -22,7 +22,7 @@ from ..jit import first_compilation
 from ..physics.material import PRESETS
 from ..units import conversion, metres_per_unit
 from . import registry
-from .face_survey import FaceSamples, part_samples, survey
+from .face_survey import FaceSamples, FaceSurvey, Spot, part_samples, survey
 from .load import Loaded, load
 from .part import Face, Part
 from .press import SHAPES, Press, kind_factor, placed, sizes_of, wanted
@@ -35,6 +35,12 @@ MOST_SURVEYS = 40
 
 MOST_BUILDS = 12
 """Places tried before giving up."""
+
+MOST_FOLDS = 4
+"""Faces on which a lattice may fold before thinner ones are tried."""
+
+FOLDS = "folds the lattice"
+"""What the engine says of a lattice that is too thick for its face."""
 
 STEPS = 200
 """Steps that a run should take, about."""
@@ -82,29 +88,30 @@ def new_scene(
     failures: list[str] = []
     samples = part_samples(part)
     around = np.concatenate([np.zeros((0, 3)), *(entry.points for entry in samples.values())])
-    presses = sorted(_presses(chosen, samples, around, failures), key=lambda press: -press.score)
-    builds, unfit = 0, set[int]()
-    for wish in presses:
-        face_name, number = wish.survey.face.name, wish.survey.face.number
-        if number in unfit:
-            continue
-        if builds == MOST_BUILDS:
-            break
-        press = placed(wish, shape, around)
-        if press is None:
-            failures.append(f"face {face_name!r}: there is no room above it")
-            continue
-        builds += 1
-        tell(f"building the scene on face {face_name!r}{first}")
-        try:
-            made = _confirmed(press, shape, part, path, out)
-        except CadsculptError as error:
-            failures.append(f"face {face_name!r}: {error.what}")
-            unfit.add(number)
-            continue
-        if isinstance(made, NewScene):
-            return made
-        failures.append(f"face {face_name!r}: {made}")
+    surveys = _surveys(chosen, samples, around, failures)
+    unfit: set[int] = set()
+    for bold in (True, False):
+        folded: set[int] = set()
+        builds = 0
+        for wish in sorted(_presses(surveys, bold), key=lambda press: -press.score):
+            face_name, number = wish.survey.face.name, wish.survey.face.number
+            if number in unfit | folded or builds == MOST_BUILDS or len(folded) == MOST_FOLDS:
+                continue
+            press = placed(wish, shape, around)
+            if press is None:
+                failures.append(f"face {face_name!r}: there is no room above it")
+                continue
+            builds += 1
+            tell(f"building the scene on face {face_name!r}{first}")
+            try:
+                made = _confirmed(press, shape, part, path, out, attempts=1 if bold else 8)
+            except CadsculptError as error:
+                (folded if FOLDS in error.what else unfit).add(number)
+                failures.append(f"face {face_name!r}: {error.what}")
+                continue
+            if isinstance(made, NewScene):
+                return made
+            failures.append(f"face {face_name!r}: {made}")
     why = f": {failures[-1]}" if failures else ""
     mend = "choose another face with --face, or a smaller tool in a scene of your own" if part.faces else ""
     raise InputError(f"no face on which a {shape} can press{why}", where=str(path), mend=mend)
@@ -122,31 +129,37 @@ def _chosen(part: Part, face: str | None) -> list[Face]:
     return [part.faces.number(int(face)) if face.isdecimal() and not named else part.faces.named(face)]
 
 
-def _presses(
+def _surveys(
     faces: Sequence[Face], samples: Mapping[int, FaceSamples], around: Array, failures: list[str]
-) -> Iterator[Press]:
-    """Presses worth trying. Faces are surveyed from the most promising on, until no other can be better."""
+) -> list[tuple[FaceSurvey, list[Spot]]]:
+    """Faces and their spots, surveyed from the most promising on, until no other can be better."""
     ranked = sorted(((_promise(face, samples.get(face.number)), face) for face in faces), key=lambda entry: -entry[0])
-    best, surveyed = 0.0, 0
-    for promise, face in ranked:
-        if promise <= 0.0 and len(faces) > 1:
-            continue
-        if surveyed >= MOST_SURVEYS or promise < best:
+    best, found = 0.0, []
+    for promise, face in ranked[:MOST_SURVEYS]:
+        if (promise <= 0.0 and len(faces) > 1) or promise < best:
             break
-        surveyed += 1
         try:
             seen = survey(face)
         except CadsculptError as error:
             failures.append(f"face {face.name!r}: {error}")
             continue
-        found = [press for press in (wanted(seen, spot) for spot in seen.spots(around)) if press is not None]
-        if not found:
-            sharp = (
-                f"it bends with a radius of {seen.fold:.3g} mm" if seen.fold < 0.1 * seen.size else "it is too narrow"
-            )
-            failures.append(f"face {face.name!r}: {sharp}")
-        best = max([best, *(press.score for press in found)])
-        yield from found
+        spots = seen.spots(around)
+        presses = [press for press in (wanted(seen, spot, bold=False) for spot in spots) if press is not None]
+        if not presses:
+            sharp = seen.fold < 0.1 * seen.size
+            why = f"it bends with a radius of {seen.fold:.3g} mm" if sharp else "it is too narrow"
+            failures.append(f"face {face.name!r}: {why}")
+        best = max([best, *(press.score for press in presses)])
+        found.append((seen, spots))
+    return found
+
+
+def _presses(surveys: Sequence[tuple[FaceSurvey, list[Spot]]], bold: bool) -> Iterator[Press]:
+    for seen, spots in surveys:
+        for spot in spots:
+            press = wanted(seen, spot, bold=bold)
+            if press is not None:
+                yield press
 
 
 def _promise(face: Face, samples: FaceSamples | None) -> float:
@@ -157,19 +170,19 @@ def _promise(face: Face, samples: FaceSamples | None) -> float:
 # ------------------------------------------------------------------ as a scene
 
 
-def _confirmed(press: Press, shape: str, part: Part, path: Path, out: Path) -> NewScene | str:
+def _confirmed(press: Press, shape: str, part: Part, path: Path, out: Path, *, attempts: int) -> NewScene | str:
     """The scene, once the engine has built it and found the tool outside at first and in the face at last.
 
     Returns what is wrong with this place when another place on the same face may do. Raises CadsculptError when the
-    face cannot be sculpted at all; a lattice that folds gets thinner a few times before that.
+    face cannot be sculpted; a lattice that folds gets thinner before that, so that there are so many attempts.
     """
-    for attempt in range(4):
+    for attempt in range(attempts):
         try:
             scene = SceneFile.of(_values(press, shape, part, path, out), out)
             loaded = load(scene)
             break
         except InputError as error:
-            if "thickness" not in error.what or attempt == 3:
+            if FOLDS not in error.what or attempt == attempts - 1:
                 raise
             press = _thinner(press)
     fault = _fault(loaded, press.depth * conversion("mm", scene.units))

@@ -176,9 +176,7 @@ def _turned(frame: gp_Ax3, arc: UnitArc, profile: _Spline) -> Conversion:
     cosine, sine = arc.points[:, 0, None], arc.points[:, 1, None]
     x, y, z = profile.poles.T
     along_x, along_y = x * cosine - y * sine, x * sine + y * cosine
-    origin, ex, ey, ez = map(
-        _vector, (frame.Location(), frame.XDirection(), frame.YDirection(), frame.Direction())
-    )
+    origin, ex, ey, ez = map(_vector, (frame.Location(), frame.XDirection(), frame.YDirection(), frame.Direction()))
     net = origin + along_x[..., None] * ex + along_y[..., None] * ey + (z + 0.0 * cosine)[..., None] * ez
     surface = BSplineSurface(
         net, arc.knots, profile.knots, 2, profile.degree, arc.weights[:, None] * profile.weights[None, :]
@@ -189,9 +187,7 @@ def _turned(frame: gp_Ax3, arc: UnitArc, profile: _Spline) -> Conversion:
 def _revolution(geom: Geom_SurfaceOfRevolution, u0: float, u1: float, v0: float, v1: float) -> Conversion:
     axis = geom.Axis()
     frame = gp_Ax3(axis.Location(), axis.Direction())
-    origin, ex, ey, ez = map(
-        _vector, (frame.Location(), frame.XDirection(), frame.YDirection(), frame.Direction())
-    )
+    origin, ex, ey, ez = map(_vector, (frame.Location(), frame.XDirection(), frame.YDirection(), frame.Direction()))
     profile = _spline(geom.BasisCurve(), v0, v1)
     local = (profile.poles - origin) @ np.column_stack([ex, ey, ez])
     local[np.hypot(local[:, 0], local[:, 1]) < 1e-12 * max(1.0, float(np.abs(local).max())), :2] = 0.0

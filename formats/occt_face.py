@@ -175,9 +175,7 @@ class OcctFace(Face):
         made = self.conversion
         loops = self.boundary.trims()
         trims = None if is_whole_domain(made.surface, loops) else loops
-        return replace(
-            made.surface, trims=trims, outward=self.outward, name=self.name, provenance=self.provenance
-        )
+        return replace(made.surface, trims=trims, outward=self.outward, name=self.name, provenance=self.provenance)
 
     @property
     def trimmed(self) -> bool:  # type: ignore[override]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from ..errors import InputError
@@ -57,9 +58,7 @@ def main(format: str, path: str) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with suppress(InputError):
         main(sys.argv[1], sys.argv[2])
-    except InputError:
-        pass
     # the kernel's own tidying up is none of the question
     os._exit(0)

@@ -171,9 +171,7 @@ def _set_poles(face: OcctFace, geom: Geom_BSplineSurface, surface: BSplineSurfac
         for j in range(geom.NbVPoles()):
             if (net[i, j] != old[i, j]).any():
                 x, y, z = poles[i, j].tolist()
-                geom.SetPole(
-                    (i + first_u) % geom.NbUPoles() + 1, (j + first_v) % geom.NbVPoles() + 1, gp_Pnt(x, y, z)
-                )
+                geom.SetPole((i + first_u) % geom.NbUPoles() + 1, (j + first_v) % geom.NbVPoles() + 1, gp_Pnt(x, y, z))
 
 
 def _first_copies(count: int, poles: int) -> NDArray[np.int64]:
@@ -268,4 +266,3 @@ def _pace_keeper(face: OcctFace) -> Callable[[Geom2d_Curve, float, float], Geom2
         return geom_of_trim(carried_trim(curve, first, last, made.map_u, made.map_v, scale, TRIM_TOLERANCE))
 
     return carry
-

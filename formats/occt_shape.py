@@ -229,8 +229,8 @@ class WireEdge:
     """One edge in a face's loop: the shared edge, its trim curve on this face, and whether the loop runs against the edge.
 
     `curve` is parametrised like the edge (its own direction, not the loop's); where the parameters of the two differ,
-    `unify_parameters` mends it. A seam carries `opposite`, its trim curve on the other side of the closed surface (used where the
-    loop runs against the edge), and stands in the loop twice.
+    `unify_parameters` mends it. A seam carries `opposite`, its trim curve on the other side of the closed surface (used
+    where the loop runs against the edge), and stands in the loop twice.
     """
 
     edge: TopoDS_Edge

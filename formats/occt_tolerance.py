@@ -121,7 +121,9 @@ def vertex_gaps(edge: TopoDS_Edge) -> list[tuple[float, float]]:
         p = BRep_Tool.Pnt_s(vertex)
         point = np.array([p.X(), p.Y(), p.Z()])
         share = 0.0 if last == first else (parameter - first) / (last - first)
-        places = [item.points(np.array([item.first + share * (item.last - item.first)])) for item in curves_on_faces(edge)]
+        places = [
+            item.points(np.array([item.first + share * (item.last - item.first)])) for item in curves_on_faces(edge)
+        ]
         if curve is not None:
             places.append(placed(sample_curve(curve, np.array([parameter])), location))
         gap = max((float(np.linalg.norm(place[0] - point)) for place in places), default=0.0)

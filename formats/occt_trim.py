@@ -21,7 +21,6 @@ from .occt_curve import sample_trim, smooth_breaks, trim_derivatives
 Array = NDArray[np.float64]
 
 
-
 def trim_of_geom(curve: Geom2d_Curve, first: float, last: float, *, backward: bool = False) -> TrimCurve:
     """The part [first, last] of a 2D curve as a trim curve, run the other way when `backward`."""
     if isinstance(curve, Geom2d_Line):

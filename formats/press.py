@@ -67,13 +67,15 @@ class Press:
         return math.sqrt(max(2.0 * self.scale * self.depth - self.depth**2, 0.0))
 
 
-def wanted(seen: FaceSurvey, spot: Spot) -> Press | None:
+def wanted(seen: FaceSurvey, spot: Spot, *, bold: bool) -> Press | None:
     """The tool and the press that a spot takes, not placed yet (start and end are 0).
 
-    None where nothing can be pressed, or where the lattice would have to be so thin that its cells are mere flakes.
+    bold : as thick as the press asks for, wherever the survey says that a lattice on its samples would fold. None where
+    nothing can be pressed, or where the lattice would have to be so thin that its cells are mere flakes.
     """
     scale = min(0.4 * spot.room, 0.7 * spot.free_radius)
-    depth = min(DEEP * min(seen.size, 3.0 * spot.room), 0.45 * scale, 0.65 * seen.fold / THICK)
+    limit = math.inf if bold else 0.65 * seen.fold / THICK
+    depth = min(DEEP * min(seen.size, 3.0 * spot.room), 0.45 * scale, limit)
     if not depth > 0.0:
         return None
     thickness = THICK * depth

@@ -70,16 +70,21 @@ def write_part(part: Part, path: str | os.PathLike[str], format: str) -> None:
 
 
 def _reader(format: str) -> Reader:
-    match format:
-        case "step":
-            from .step import read as reader
-        case "iges":
-            from .iges import read as reader
-        case "3dm":
-            from .rhino import read as reader
-        case _:
-            from .patch_json import read as reader
-    return reader
+    if format == "step":
+        from . import step
+
+        return step.read
+    if format == "iges":
+        from . import iges
+
+        return iges.read
+    if format == "3dm":
+        from . import rhino
+
+        return rhino.read
+    from . import patch_json
+
+    return patch_json.read
 
 
 def _sniffed(path: Path) -> str | None:

@@ -9,9 +9,9 @@ from OCP.APIHeaderSection import APIHeaderSection_MakeHeader
 from OCP.collections import Sequence_TCollection_AsciiString
 from OCP.IFSelect import IFSelect_ReturnStatus
 from OCP.Interface import Interface_Static
-from OCP.StepData import StepData_StepWriter
 from OCP.STEPCAFControl import STEPCAFControl_Controller, STEPCAFControl_Reader, STEPCAFControl_Writer
 from OCP.STEPControl import STEPControl_StepModelType
+from OCP.StepData import StepData_StepWriter
 from OCP.TCollection import TCollection_HAsciiString
 
 from .._version import __version__
@@ -19,7 +19,15 @@ from ..errors import InputError
 from ..units import conversion, unit_name
 from .atomic import write_whole
 from .occt import OcctPart
-from .occt_document import METRES_PER_MM, count_faces, face_names, free_shapes, new_document, set_length_unit, wrong_entities
+from .occt_document import (
+    METRES_PER_MM,
+    count_faces,
+    face_names,
+    free_shapes,
+    new_document,
+    set_length_unit,
+    wrong_entities,
+)
 from .occt_probe import ensure_survives
 from .occt_quiet import quiet
 from .step_text import REAL_FORMAT, TIME_STAMP, StepFacts, facts_of, settled

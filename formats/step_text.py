@@ -134,7 +134,8 @@ def _styles_in_order(data: bytes) -> bytes:
         if number not in spelled:
             spelled[number] = b""
             body = _REFERENCE.sub(
-                lambda m: b"[%s]" % spell(int(m[1])) if m[1] and int(m[1]) >= first else m[0], _sorted_list(text[number])
+                lambda m: b"[%s]" % spell(int(m[1])) if m[1] and int(m[1]) >= first else m[0],
+                _sorted_list(text[number]),
             )
             spelled[number] = b" ".join(body.split())
         return spelled[number]

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from ..jit import njit
 from .tri_tri import WORK, tri_tri
-from .workspace import Patch, grown
+from .workspace import grown
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 PLANE_ROUNDING = 64 * 2.0**-53
 """Bound on the error of n . (p - q), n = e1 x e2, relative to max(|e1|, |e2|)^2 |p - q|_1: a few dozen roundings."""
@@ -65,19 +66,20 @@ def parted(points_p: Array, tri_p: Index, plane: Array, p: int, points_q: Array,
 
 @njit
 def crossing_triangles(
-    a: Patch, tri_a: Index, first_a: Index, b: Patch, tri_b: Index, first_b: Index, pairs: Index
-) -> tuple[Index, Array]:
-    """The triangles that meet, over the pairs (k, 2) of cells: (n, 3) triangle of a, of b, relation; and segments (n, 2, 3).
+    points_a: Array, inside_a: Mask, tri_a: Index, first_a: Index,
+    points_b: Array, inside_b: Mask, tri_b: Index, first_b: Index, pairs: Index,
+) -> tuple[Index, Array, int]:  # fmt: skip
+    """The triangles that meet, over the pairs (k, 2) of cells: (n, 3) triangle of a, of b, relation; segments
+    (n, 6); and the number of pairs of triangles tested.
 
     Triangles without a vertex on the trimmed face are left out.
     """
-    points_a, points_b, inside_a, inside_b = a.points, b.points, a.inside, b.inside
     box_a, box_b = cell_boxes(points_a, tri_a, first_a), cell_boxes(points_b, tri_b, first_b)
     plane_a, plane_b = planes(points_a, tri_a), planes(points_b, tri_b)
     found = np.empty((64, 3), np.int64)
     segments = np.empty((64, 6))
     count, tests = 0, 0
-    p, q, segment, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3)), np.empty(WORK)
+    both, segment, work = np.empty((6, 3)), np.empty(6), np.empty(WORK)
     for k in range(len(pairs)):
         c, d = pairs[k, 0], pairs[k, 1]
         if (
@@ -99,22 +101,19 @@ def crossing_triangles(
                     continue
                 for v in range(3):
                     for x in range(3):
-                        p[v, x] = points_a[tri_a[s, v], x]
-                        q[v, x] = points_b[tri_b[t, v], x]
-                relation = tri_tri(p, q, segment, work)
+                        both[v, x] = points_a[tri_a[s, v], x]
+                        both[3 + v, x] = points_b[tri_b[t, v], x]
+                relation = tri_tri(both, segment, work)
                 if relation == 0:
                     continue
                 if count == len(found):
                     found = grown(found)
                     segments = longer(segments)
                 found[count, 0], found[count, 1], found[count, 2] = s, t, relation
-                for x in range(3):
-                    segments[count, x], segments[count, 3 + x] = segment[0, x], segment[1, x]
+                for x in range(6):
+                    segments[count, x] = segment[x]
                 count += 1
-    a.counters[5] += len(tri_a) + len(tri_b)
-    a.counters[6] += tests
-    a.counters[7] += count
-    return found[:count], segments[:count]
+    return found[:count], segments[:count], tests
 
 
 @njit

@@ -50,6 +50,7 @@ def field_contacts(run: Run, index: int, tool: FieldTool) -> list[Contacts]:
 
 def _field_cells(run: Run, g: Patch, work: Workspace, tool: DistanceField) -> Index:
     """The cells left by the loop of 4.5, starting from the window of 4.4."""
+    window = None
     if run.paper:
 
         def meets(facets: Array) -> Mask:
@@ -59,12 +60,10 @@ def _field_cells(run: Run, g: Patch, work: Workspace, tool: DistanceField) -> In
         centre = 0.5 * (work.extent[0] + work.extent[1])
         within = bool(tool.distance(centre[None])[0] <= 0.5 * np.linalg.norm(work.extent[1] - work.extent[0]))
         window = hull.paper_window(work.grid.surface, g, meets, within)
-    else:
-        window = levels.ALL_SPANS
-    cells, centre, radius = levels.covered_spans(g, window)
+    cells, centre, _ = levels.window_cells(work, window)
     ended = len(cells) == 0
     while not ended:
-        cells, centre, radius, ended = levels.refine(g, cells, tool.distance(centre), run.options.margin)
+        cells, centre, ended = levels.refine(work, cells, tool.distance(centre), run.options.margin)
     return cells
 
 

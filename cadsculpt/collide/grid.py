@@ -28,7 +28,7 @@ class PatchGrid:
     span and all breakpoints. inside : (m, n), whether a grid vertex lies on the trimmed face, or None when all do.
     row_u (levels, m), child_u (levels, m) : per level (0: the spans) its rows, and for each cell the first of its children
     on the next level; likewise v. count (levels, 2), offset (levels + 1,) : cells along u and v, and where each level starts
-    in arrays over all cells. covers : whether a cell holds a vertex of the face.
+    in arrays over all cells. covers : whether a cell holds a vertex of the face. spans (k, 3) : the cells of level 0 that do.
     """
 
     surface: BSplineSurface
@@ -42,6 +42,7 @@ class PatchGrid:
     count: Index
     offset: Index
     covers: Mask
+    spans: Index
     on_face: Mask
     span_u: Index
     span_v: Index
@@ -99,6 +100,7 @@ class PatchGrid:
             count=count,
             offset=offset,
             covers=covers,
+            spans=np.array([(0, k // count[0, 1], k % count[0, 1]) for k in np.flatnonzero(covers[: offset[1]])], np.int64),
             on_face=np.ones(matrices.shape[0] * matrices.shape[1], dtype=np.bool_) if inside is None else inside.ravel(),
             span_u=_span_of_row(starts[0]),
             span_v=_span_of_row(starts[1]),

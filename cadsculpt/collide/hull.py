@@ -199,27 +199,28 @@ def nearest_in_simplex(s: Array, size: int, weights: Array) -> int:
 
 
 @njit
-def span_pairs(a: Patch, b: Patch, margin: float, pairs: Index) -> int:
-    """Window (paper 4.4): the pairs of knot spans whose own control points' boxes come within `margin`, into pairs (n, 2).
+def span_pairs(box_a: Array, covers_a: Mask, box_b: Array, covers_b: Mask, margin: float, pairs: Index) -> int:
+    """Window (paper 4.4): the pairs of knot spans whose own control points' boxes (spans, 6) come within `margin`, into
+    pairs (n, 2).
 
     Returns how many there are; only as many as fit are written.
     """
     # the box of each body's spans that come near the other's whole box
-    low_a, high_a = whole(a.box)
-    low_b, high_b = whole(b.box)
-    near_b = np.empty(len(b.box), np.int64)
+    low_a, high_a = whole(box_a)
+    low_b, high_b = whole(box_b)
+    near_b = np.empty(len(box_b), np.int64)
     count_b = 0
-    for k in range(len(b.box)):
-        if b.covers[k] and near(b.box, k, low_a, high_a, margin):
+    for k in range(len(box_b)):
+        if covers_b[k] and near(box_b, k, low_a, high_a, margin):
             near_b[count_b] = k
             count_b += 1
     count = 0
-    for k in range(len(a.box)):
-        if not (a.covers[k] and near(a.box, k, low_b, high_b, margin)):
+    for k in range(len(box_a)):
+        if not (covers_a[k] and near(box_a, k, low_b, high_b, margin)):
             continue
         for t in range(count_b):
             l = near_b[t]
-            if near(a.box, k, b.box[l, 0:3], b.box[l, 3:6], margin):
+            if near(box_a, k, box_b[l, 0:3], box_b[l, 3:6], margin):
                 if count < len(pairs):
                     pairs[count, 0], pairs[count, 1] = k, l
                 count += 1

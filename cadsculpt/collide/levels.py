@@ -16,14 +16,11 @@ from numpy.typing import NDArray
 
 from ..jit import njit
 from .spheres import make_spheres
-from .workspace import Patch, canonical, grown, make_points
+from .workspace import Patch, Tree, Workspace, canonical, grown, make_points
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-
-ALL_SPANS = np.zeros(0, dtype=np.bool_)
-"""No window: every span."""
 
 LAST_ROWS = 4
 """Against an implicit tool, cells of up to this many rows and columns give up their vertices at once: a vertex costs a third of
@@ -36,92 +33,86 @@ SIZES = 2.0
 """Of two intersecting spheres only the larger is refined when it is this many times larger (certified mode)."""
 
 
-@njit
-def spheres_of(g: Patch, cells: Index) -> tuple[Array, Array]:
-    """Centres (n, 3) and radii (n,) of cells whose spheres are made."""
-    offset, tally, spheres = g.offset, g.count, g.spheres
-    centre, radius = np.empty((len(cells), 3)), np.empty(len(cells))
-    for t in range(len(cells)):
-        at = offset[cells[t, 0]] + cells[t, 1] * tally[cells[t, 0], 1] + cells[t, 2]
-        for c in range(3):
-            centre[t, c] = spheres[at, c]
-        radius[t] = spheres[at, 3]
-    return centre, radius
+def window_cells(work: Workspace, window: Mask | None = None) -> tuple[Index, Array, Array]:
+    """Level 0: the cells (n, 3) of the knot spans that the face reaches (and a window (spans,) takes), their spheres' centres
+    (n, 3) and radii (n,)."""
+    g, cells = work.patch, work.grid.spans
+    if window is not None:
+        cells = cells[window[cells[:, 1] * g.count[0, 1] + cells[:, 2]]]
+    g.counters[1] += len(cells)
+    centre, radius = make_spheres(g, cells, len(cells))
+    return cells, centre, radius
 
 
-@njit
-def covered_spans(g: Patch, window: Mask) -> tuple[Index, Array, Array]:
-    """Level 0: the cells (0, ku, kv) of the knot spans that the face reaches, with their spheres' centres and radii.
-
-    window (spans,) : those to take; empty for all.
-    """
-    cells = np.empty((g.count[0, 0] * g.count[0, 1], 3), np.int64)
-    count = 0
-    for k in range(len(cells)):
-        if g.covers[k] and (len(window) == 0 or window[k]):
-            cells[count, 0], cells[count, 1], cells[count, 2] = 0, k // g.count[0, 1], k % g.count[0, 1]
-            count += 1
-    make_spheres(g, cells, count)
-    g.counters[1] += count
-    centre, radius = spheres_of(g, cells[:count])
-    return cells[:count], centre, radius
-
-
-@njit
-def refine(g: Patch, cells: Index, distance: Array, margin: float) -> tuple[Index, Array, Array, bool]:
+def refine(work: Workspace, cells: Index, distance: Array, margin: float) -> tuple[Index, Array, bool]:
     """One level (4.5): cells (n, 3) of one level whose spheres come within `margin` of the tool, split; the others discarded.
 
     distance (n,) : signed distance of each sphere's centre from the tool; what is deep inside is kept as well, and so is a
-    NaN. Returns the children with their spheres' centres and radii, and False; or, when the loop ends here, the cells kept
-    themselves, and True.
+    NaN. Returns the children with their spheres' centres, and False; or, when the loop ends here, the cells kept themselves,
+    and True.
     """
+    g = work.patch
+    g.counters[8] += 1
+    g.counters[4] += len(cells)
+    cells, ended = split_near(work.tree, cells, distance, margin, g.paper)
+    if ended:
+        return cells, np.zeros((0, 3)), True
+    return cells, make_spheres(g, cells, len(cells))[0], False
+
+
+@njit
+def split_near(g: Tree, cells: Index, distance: Array, margin: float, paper: bool) -> tuple[Index, bool]:
+    """The children of the cells whose spheres come near, or, where the loop ends, these cells."""
     level, last = cells[0, 0], len(g.offset) - 2
     offset, across, spheres, covers = g.offset[level], g.count[level, 1], g.spheres, g.covers
     row_u, row_v, child_u, child_v = g.row_u, g.row_v, g.child_u, g.child_v
-    g.counters[8] += 1
-    g.counters[4] += len(cells)
-    kept, most = 0, 0
+    near = np.empty((len(cells), 3), np.int64)
+    kept, most, children = 0, 0, 1
     for t in range(len(cells)):
         ku, kv = cells[t, 1], cells[t, 2]
         at = offset + ku * across + kv
         if not distance[t] > spheres[at, 3] + margin:
-            cells[kept, 0], cells[kept, 1], cells[kept, 2] = level, ku, kv
+            near[kept, 0], near[kept, 1], near[kept, 2] = level, ku, kv
             kept += 1
             most = max(most, row_u[level, ku + 1] - row_u[level, ku], row_v[level, kv + 1] - row_v[level, kv])
+            children = max(
+                children, (child_u[level, ku + 1] - child_u[level, ku]) * (child_v[level, kv + 1] - child_v[level, kv])
+            )
     all_met = level > 0 and kept == len(cells)
-    if g.paper:
+    if paper:
         ended = level == last or all_met
     else:
         ended = most <= (ALL_MET_ROWS if all_met else LAST_ROWS)
     if ended or kept == 0:
-        none = np.empty((0, 3))
-        return cells[:kept], none, none[:, 0].copy(), True
-    most = 1
-    for t in range(kept):
-        ku, kv = cells[t, 1], cells[t, 2]
-        most = max(most, (child_u[level, ku + 1] - child_u[level, ku]) * (child_v[level, kv + 1] - child_v[level, kv]))
-    children = np.empty((most * kept, 3), np.int64)
+        return near[:kept], True
+    out = np.empty((children * kept, 3), np.int64)
     count = 0
     offset, across = g.offset[level + 1], g.count[level + 1, 1]
     for t in range(kept):
-        for ku in range(child_u[level, cells[t, 1]], child_u[level, cells[t, 1] + 1]):
-            for kv in range(child_v[level, cells[t, 2]], child_v[level, cells[t, 2] + 1]):
-                if not covers[offset + ku * across + kv]:
-                    continue
-                children[count, 0], children[count, 1], children[count, 2] = level + 1, ku, kv
-                count += 1
-    make_spheres(g, children, count)
-    centre, radius = spheres_of(g, children[:count])
-    return children[:count], centre, radius, False
+        for ku in range(child_u[level, near[t, 1]], child_u[level, near[t, 1] + 1]):
+            for kv in range(child_v[level, near[t, 2]], child_v[level, near[t, 2] + 1]):
+                if covers[offset + ku * across + kv]:
+                    out[count, 0], out[count, 1], out[count, 2] = level + 1, ku, kv
+                    count += 1
+    return out[:count], False
 
 
-@njit
 def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
     """Flat names of all finest vertices on the face that the cells hold and that do not carry `mark` in g.visit yet; they get
     it, and their points are made."""
-    m, n = len(g.u), len(g.v)
-    visit, on_face = g.visit, g.inside
-    row_u, row_v, wrap_u, wrap_v, poles = g.row_u, g.row_v, g.wrap_u, g.wrap_v, g.poles
+    names = unmarked(
+        g.row_u, g.row_v, g.visit, g.inside, len(g.u), len(g.v), g.wrap_u, g.wrap_v, g.poles, cells, mark
+    )
+    make_points(g, names, len(names))
+    return names
+
+
+@njit
+def unmarked(
+    row_u: Index, row_v: Index, visit: Index, on_face: Mask, m: int, n: int, wrap_u: bool, wrap_v: bool, poles: int,
+    cells: Index, mark: int,
+) -> Index:  # fmt: skip
+    """The vertices of `vertices_of`."""
     names = np.empty((256, 1), np.int64)
     count = 0
     for t in range(len(cells)):
@@ -136,166 +127,159 @@ def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
                     visit[k] = mark
                     names[count, 0] = k
                     count += 1
-    found = names[:count, 0].copy()
-    make_points(g, found, count)
-    return found
+    return names[:count, 0].copy()
+
+
+def traverse(
+    mine: Workspace, other: Workspace, spans: Index, margin: float, tolerance: float
+) -> tuple[Index, Index, Index]:
+    """The loop of 4.5 over two patches a and b, from pairs of spans (n, 2) to pairs of cells with nothing left to refine.
+
+    Only children of intersecting spheres are tested against each other. Returns the cells of a (na, 3), of b (nb, 3) and the
+    pairs (k, 2) of their places in these whose spheres come within `margin` of each other.
+    """
+    a, b, g, h = mine.tree, other.tree, mine.patch, other.patch
+    mark_a, mark_b = mine.new_mark(), other.new_mark()
+    pairs = np.zeros((len(spans), 6), dtype=np.int64)
+    pairs[:, 1], pairs[:, 2] = np.divmod(spans[:, 0], a.count[0, 1])
+    pairs[:, 4], pairs[:, 5] = np.divmod(spans[:, 1], b.count[0, 1])
+    done = [pairs[:0]]
+    while len(pairs):
+        g.counters[8] += 1
+        split, fresh_a, fresh_b = plan(a, b, pairs, tolerance, g.paper, mark_a, mark_b)
+        make_spheres(g, fresh_a, len(fresh_a))
+        make_spheres(h, fresh_b, len(fresh_b))
+        pairs, finished, met, tests = meet(a, b, pairs, split, margin)
+        g.counters[4] += tests
+        done.append(finished)
+        # 4.5.1: all spheres generated at this level, on both bodies, intersect
+        if g.paper and met == len(fresh_a) + len(fresh_b):
+            done.append(pairs)
+            break
+    pairs = np.concatenate(done)
+    cells_a, place_a = distinct(a, pairs, 0, mark_a + 1)
+    cells_b, place_b = distinct(b, pairs, 3, mark_b + 1)
+    return cells_a, cells_b, np.stack([place_a, place_b], axis=1)
 
 
 @njit
 def plan(
-    a: Patch, b: Patch, pairs: Index, count: int, tolerance: float, mark_a: int, mark_b: int, split: Mask, fresh: Index
-) -> tuple[Index, int]:
-    """Which cells of pairs[:count] to split, into split (count, 2), and the spheres of their children.
+    a: Tree, b: Tree, pairs: Index, tolerance: float, paper: bool, mark_a: int, mark_b: int
+) -> tuple[Mask, Index, Index]:
+    """Which cells of pairs (n, 6) (level, ku, kv of either) to split, (n, 2), and the children of either body's, each once.
 
-    A cell is split unless nothing is left to refine in it; of two unequal ones (certified mode), the larger first. Returns
-    an array (`fresh`, or a longer one) and the number of children; these carry the mark, and slot 0.
+    A cell is split unless nothing is left to refine in it; of two unequal ones (certified mode), the larger first.
     """
-    off_a, tally_a, ball_a, child_ua, child_va = a.offset, a.count, a.spheres, a.child_u, a.child_v
-    off_b, tally_b, ball_b, child_ub, child_vb = b.offset, b.count, b.spheres, b.child_u, b.child_v
-    for t in range(count):
+    off_a, tally_a, ball_a, off_b, tally_b, ball_b = a.offset, a.count, a.spheres, b.offset, b.count, b.spheres
+    split = np.empty((len(pairs), 2), np.bool_)
+    for t in range(len(pairs)):
         at = off_a[pairs[t, 0]] + pairs[t, 1] * tally_a[pairs[t, 0], 1] + pairs[t, 2]
         to = off_b[pairs[t, 3]] + pairs[t, 4] * tally_b[pairs[t, 3], 1] + pairs[t, 5]
         mine, its = ball_a[at, 4] > tolerance, ball_b[to, 4] > tolerance
-        if mine and its and not a.paper and pairs[t, 0] > 0 and pairs[t, 3] > 0:
+        if mine and its and not paper and pairs[t, 0] > 0 and pairs[t, 3] > 0:
             mine, its = SIZES * ball_a[at, 3] >= ball_b[to, 3], SIZES * ball_b[to, 3] >= ball_a[at, 3]
         split[t, 0], split[t, 1] = mine, its
-    generated = 0
-    for body in range(2):
-        g = a if body == 0 else b
-        o, mark = (0, mark_a) if body == 0 else (3, mark_b)
-        offset, tally = (off_a, tally_a) if body == 0 else (off_b, tally_b)
-        child_u, child_v = (child_ua, child_va) if body == 0 else (child_ub, child_vb)
-        marks, slot, covers = g.mark, g.slot, g.covers
-        wanted = 0
-        while 4 * count > len(fresh):
-            fresh = grown(fresh)
-        for t in range(count):
-            if not split[t, body]:
-                continue
-            level, ku, kv = pairs[t, o], pairs[t, o + 1], pairs[t, o + 2]
-            # a cell whose first child carries the mark has been here
-            first = offset[level + 1] + child_u[level, ku] * tally[level + 1, 1] + child_v[level, kv]
-            if marks[first] == mark:
-                continue
-            for c in range(child_u[level, ku], child_u[level, ku + 1]):
-                for d in range(child_v[level, kv], child_v[level, kv + 1]):
-                    at = offset[level + 1] + c * tally[level + 1, 1] + d
-                    marks[at] = mark
-                    slot[at] = 0
-                    if not covers[at]:
-                        continue
-                    fresh[wanted, 0], fresh[wanted, 1], fresh[wanted, 2] = level + 1, c, d
-                    wanted += 1
-        make_spheres(g, fresh, wanted)
-        generated += wanted
-    return fresh, generated
+    return split, children(a, pairs, 0, split, mark_a), children(b, pairs, 3, split, mark_b)
 
 
 @njit
-def traverse(
-    a: Patch, b: Patch, spans: Index, margin: float, tolerance: float, mark_a: int, mark_b: int
-) -> tuple[Index, Index, Index]:
-    """The loop of 4.5 over two patches, from pairs of spans (n, 2) to pairs of cells that nothing is left to refine in.
-
-    Only children of intersecting spheres are tested against each other. Returns the cells of a (na, 3), of b (nb, 3) and the
-    pairs (k, 2) of their places in these whose spheres come within `margin` of each other. mark_a, mark_b : numbers new to
-    a.mark and b.mark.
-    """
-    count = len(spans)
-    pairs, survivors = np.empty((max(256, count), 6), np.int64), np.empty((256, 6), np.int64)
-    for t in range(count):
-        pairs[t, 0], pairs[t, 3] = 0, 0
-        pairs[t, 1], pairs[t, 2] = spans[t, 0] // a.count[0, 1], spans[t, 0] % a.count[0, 1]
-        pairs[t, 4], pairs[t, 5] = spans[t, 1] // b.count[0, 1], spans[t, 1] % b.count[0, 1]
-    split = np.empty((max(256, count), 2), np.bool_)
+def children(g: Tree, pairs: Index, o: int, split: Mask, mark: int) -> Index:
+    """The children (k, 3) of one body's cells that are to be split, each once; they carry `mark`, and slot 0."""
+    offset, tally, child_u, child_v = g.offset, g.count, g.child_u, g.child_v
+    marks, slot, covers = g.mark, g.slot, g.covers
     fresh = np.empty((256, 3), np.int64)
-    done = np.empty((256, 6), np.int64)
-    finished, tests, ended = 0, 0, False
+    count = 0
+    for t in range(len(pairs)):
+        if not split[t, o // 3]:
+            continue
+        level, ku, kv = pairs[t, o], pairs[t, o + 1], pairs[t, o + 2]
+        # a cell whose first child carries the mark has been here
+        if marks[offset[level + 1] + child_u[level, ku] * tally[level + 1, 1] + child_v[level, kv]] == mark:
+            continue
+        across_u, across_v = child_u[level, ku + 1] - child_u[level, ku], child_v[level, kv + 1] - child_v[level, kv]
+        while count + across_u * across_v > len(fresh):
+            fresh = grown(fresh)
+        for c in range(child_u[level, ku], child_u[level, ku + 1]):
+            for d in range(child_v[level, kv], child_v[level, kv + 1]):
+                at = offset[level + 1] + c * tally[level + 1, 1] + d
+                marks[at] = mark
+                slot[at] = 0
+                if covers[at]:
+                    fresh[count, 0], fresh[count, 1], fresh[count, 2] = level + 1, c, d
+                    count += 1
+    return fresh[:count]
+
+
+@njit
+def meet(a: Tree, b: Tree, pairs: Index, split: Mask, margin: float) -> tuple[Index, Index, int, int]:
+    """The pairs of children (or of cells not split) whose spheres intersect, and the pairs with nothing left to split; how
+    many of the children have met another sphere, and how many tests that took."""
     off_a, tally_a, child_ua, child_va, covers_a, ball_a, slot_a = (
         a.offset, a.count, a.child_u, a.child_v, a.covers, a.spheres, a.slot,
     )  # fmt: skip
     off_b, tally_b, child_ub, child_vb, covers_b, ball_b, slot_b = (
         b.offset, b.count, b.child_u, b.child_v, b.covers, b.spheres, b.slot,
     )  # fmt: skip
-    while count > 0:
-        if len(split) < count:
-            split = np.empty((2 * count, 2), np.bool_)
-        generated = 0
-        if not ended:
-            a.counters[8] += 1
-            fresh, generated = plan(a, b, pairs, count, tolerance, mark_a, mark_b, split, fresh)
-        surviving, met = 0, 0
-        while finished + count > len(done):
-            done = grown(done)
-        for t in range(count):
-            if ended or not (split[t, 0] or split[t, 1]):
-                for c in range(6):
-                    done[finished, c] = pairs[t, c]
-                finished += 1
-                continue
-            la, ca0, da0, lb, cb0, db0 = pairs[t, 0], pairs[t, 1], pairs[t, 2], pairs[t, 3], pairs[t, 4], pairs[t, 5]
-            ca1, da1, cb1, db1 = ca0 + 1, da0 + 1, cb0 + 1, db0 + 1
-            if split[t, 0]:
-                ca0, ca1, da0, da1 = child_ua[la, ca0], child_ua[la, ca1], child_va[la, da0], child_va[la, da1]
-                la += 1
-            if split[t, 1]:
-                cb0, cb1, db0, db1 = child_ub[lb, cb0], child_ub[lb, cb1], child_vb[lb, db0], child_vb[lb, db1]
-                lb += 1
-            while surviving + (ca1 - ca0) * (da1 - da0) * (cb1 - cb0) * (db1 - db0) > len(survivors):
-                survivors = grown(survivors)
-            for ca in range(ca0, ca1):
-                for da in range(da0, da1):
-                    at = off_a[la] + ca * tally_a[la, 1] + da
-                    if not covers_a[at]:
-                        continue
-                    x, y, z, r = ball_a[at, 0], ball_a[at, 1], ball_a[at, 2], ball_a[at, 3] + margin
-                    for cb in range(cb0, cb1):
-                        for db in range(db0, db1):
-                            to = off_b[lb] + cb * tally_b[lb, 1] + db
-                            if not covers_b[to]:
-                                continue
-                            tests += 1
-                            p, q, s = x - ball_b[to, 0], y - ball_b[to, 1], z - ball_b[to, 2]
-                            reach = r + ball_b[to, 3]
-                            if p * p + q * q + s * s > reach * reach:
-                                continue
-                            survivors[surviving, 0], survivors[surviving, 1], survivors[surviving, 2] = la, ca, da
-                            survivors[surviving, 3], survivors[surviving, 4], survivors[surviving, 5] = lb, cb, db
-                            surviving += 1
-                            if slot_a[at] == 0:
-                                slot_a[at] = 1
-                                met += split[t, 0]
-                            if slot_b[to] == 0:
-                                slot_b[to] = 1
-                                met += split[t, 1]
-        pairs, survivors = survivors, pairs
-        count = surviving
-        # 4.5.1: all spheres generated at this level, on both bodies, intersect
-        ended = a.paper and generated > 0 and met == generated
-    a.counters[4] += tests
-    return numbered(a, b, done, finished, mark_a + 1, mark_b + 1)
+    done = np.empty((len(pairs), 6), np.int64)
+    survivors = np.empty((256, 6), np.int64)
+    finished, surviving, met, tests = 0, 0, 0, 0
+    for t in range(len(pairs)):
+        if not (split[t, 0] or split[t, 1]):
+            for c in range(6):
+                done[finished, c] = pairs[t, c]
+            finished += 1
+            continue
+        la, ca0, da0, lb, cb0, db0 = pairs[t, 0], pairs[t, 1], pairs[t, 2], pairs[t, 3], pairs[t, 4], pairs[t, 5]
+        ca1, da1, cb1, db1 = ca0 + 1, da0 + 1, cb0 + 1, db0 + 1
+        if split[t, 0]:
+            ca0, ca1, da0, da1 = child_ua[la, ca0], child_ua[la, ca1], child_va[la, da0], child_va[la, da1]
+            la += 1
+        if split[t, 1]:
+            cb0, cb1, db0, db1 = child_ub[lb, cb0], child_ub[lb, cb1], child_vb[lb, db0], child_vb[lb, db1]
+            lb += 1
+        while surviving + (ca1 - ca0) * (da1 - da0) * (cb1 - cb0) * (db1 - db0) > len(survivors):
+            survivors = grown(survivors)
+        for ca in range(ca0, ca1):
+            for da in range(da0, da1):
+                at = off_a[la] + ca * tally_a[la, 1] + da
+                if not covers_a[at]:
+                    continue
+                x, y, z, r = ball_a[at, 0], ball_a[at, 1], ball_a[at, 2], ball_a[at, 3] + margin
+                for cb in range(cb0, cb1):
+                    for db in range(db0, db1):
+                        to = off_b[lb] + cb * tally_b[lb, 1] + db
+                        if not covers_b[to]:
+                            continue
+                        tests += 1
+                        p, q, s = x - ball_b[to, 0], y - ball_b[to, 1], z - ball_b[to, 2]
+                        reach = r + ball_b[to, 3]
+                        if p * p + q * q + s * s > reach * reach:
+                            continue
+                        survivors[surviving, 0], survivors[surviving, 1], survivors[surviving, 2] = la, ca, da
+                        survivors[surviving, 3], survivors[surviving, 4], survivors[surviving, 5] = lb, cb, db
+                        surviving += 1
+                        if slot_a[at] == 0:
+                            slot_a[at] = 1
+                            met += split[t, 0]
+                        if slot_b[to] == 0:
+                            slot_b[to] = 1
+                            met += split[t, 1]
+    return survivors[:surviving], done[:finished], met, tests
 
 
 @njit
-def numbered(a: Patch, b: Patch, pairs: Index, count: int, mark_a: int, mark_b: int) -> tuple[Index, Index, Index]:
-    """The distinct cells of a and of b in pairs[:count], in the order they come, and the pairs in these numbers."""
-    cells_a, cells_b = np.empty((count, 3), np.int64), np.empty((count, 3), np.int64)
-    out = np.empty((count, 2), np.int64)
-    totals = np.zeros(2, np.int64)
-    for body in range(2):
-        g = a if body == 0 else b
-        mark = mark_a if body == 0 else mark_b
-        cells = cells_a if body == 0 else cells_b
-        o = 3 * body
-        total = 0
-        for t in range(count):
-            at = g.offset[pairs[t, o]] + pairs[t, o + 1] * g.count[pairs[t, o], 1] + pairs[t, o + 2]
-            if g.mark[at] != mark:
-                g.mark[at] = mark
-                g.slot[at] = total
-                for c in range(3):
-                    cells[total, c] = pairs[t, o + c]
-                total += 1
-            out[t, body] = g.slot[at]
-        totals[body] = total
-    return cells_a[: totals[0]], cells_b[: totals[1]], out
+def distinct(g: Tree, pairs: Index, o: int, mark: int) -> tuple[Index, Index]:
+    """The distinct cells (k, 3) of one body in the order they come in pairs, and the place (n,) of each pair's among them."""
+    offset, tally, marks, slot = g.offset, g.count, g.mark, g.slot
+    cells, place = np.empty((len(pairs), 3), np.int64), np.empty(len(pairs), np.int64)
+    total = 0
+    for t in range(len(pairs)):
+        at = offset[pairs[t, o]] + pairs[t, o + 1] * tally[pairs[t, o], 1] + pairs[t, o + 2]
+        if marks[at] != mark:
+            marks[at] = mark
+            slot[at] = total
+            for c in range(3):
+                cells[total, c] = pairs[t, o + c]
+            total += 1
+        place[t] = slot[at]
+    return cells[:total], place

@@ -30,7 +30,7 @@ def point_contacts(run: Run, index: int, tool: PointTool) -> list[Contacts]:
     size = float(np.linalg.norm(run.extents[:, 1].max(axis=0) - run.extents[:, 0].min(axis=0))) if len(near) else 0.0
     group = np.array([0, 1])
     for face in near:
-        work, g = run.model(int(face))
+        _, g = run.model(int(face))
         before = best.copy(), state.copy(), owner.copy()
         project(g, position[None], group, EDGE * size, np.inf, int(face), best, state, owner)
         if owner[0] == face and not on_face(run.grids[face], best[:, [U, V]])[0]:
@@ -53,10 +53,10 @@ def point_contacts(run: Run, index: int, tool: PointTool) -> list[Contacts]:
 
 def _in_sphere(run: Run, face: int, position: Array) -> bool:
     """The paper's own condition: the point lies in a sphere of every level, down to the finest."""
-    _, g = run.model(face)
-    cells, centre, _ = levels.covered_spans(g, levels.ALL_SPANS)
+    work, _ = run.model(face)
+    cells, centre, _ = levels.window_cells(work)
     ended = False
     while not ended and len(cells):
         distance = np.linalg.norm(centre - position, axis=1)
-        cells, centre, _, ended = levels.refine(g, cells, distance, run.options.margin)
+        cells, centre, ended = levels.refine(work, cells, distance, run.options.margin)
     return len(cells) > 0

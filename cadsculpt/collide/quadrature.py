@@ -113,12 +113,19 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
     return uv, out, area
 
 
-@njit
 def spread(g: Patch, names: Index, mark: int) -> Index:
-    """The vertices on the face, a block of neighbours at a time, around `names` that do not carry `mark` yet; they get it."""
-    m, n = len(g.u), len(g.v)
-    wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
-    visit, on_face = g.visit, g.inside
+    """The vertices on the face, a block of neighbours at a time, around `names` that do not carry `mark` in g.visit yet; they
+    get it, and their points are made."""
+    fresh = beside(g.visit, g.inside, len(g.u), len(g.v), g.wrap_u, g.wrap_v, g.poles, names, mark)
+    make_points(g, fresh, len(fresh))
+    return fresh
+
+
+@njit
+def beside(
+    visit: Index, on_face: Mask, m: int, n: int, wrap_u: bool, wrap_v: bool, poles: int, names: Index, mark: int
+) -> Index:
+    """The vertices of `spread`."""
     out = np.empty((256, 1), np.int64)
     found = 0
     for t in range(len(names)):
@@ -144,9 +151,7 @@ def spread(g: Patch, names: Index, mark: int) -> Index:
                                 visit[k] = mark
                                 out[found, 0] = k
                                 found += 1
-    names = out[:found, 0].copy()
-    make_points(g, names, found)
-    return names
+    return out[:found, 0].copy()
 
 
 def in_blocks(names: Index, columns: int) -> tuple[Index, Index]:

@@ -52,7 +52,7 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
             if not len(spans):
                 continue
             tolerance = 0.0 if run.paper else run.options.tolerance
-            mine, its, pairs = levels.traverse(g, h, spans, reach, tolerance, work.new_mark(), other.new_mark())
+            mine, its, pairs = levels.traverse(work, other, spans, reach, tolerance)
             if not len(pairs):
                 continue
             cells.append(mine)
@@ -81,16 +81,16 @@ def _span_pairs(
                 return np.array([not hull.apart(np.ascontiguousarray(f), away, np.zeros(3), 0.0) for f in facets])
 
             windows.append(np.flatnonzero(hull.paper_window(own.grid.surface, patch, meets, True) & own.grid.covers[: len(patch.box)]))
-        for patch in (g, h):
-            levels.covered_spans(patch, levels.ALL_SPANS)
+        for own in (work, other):
+            levels.window_cells(own)
         return np.stack(np.meshgrid(*windows, indexing="ij"), axis=-1).reshape(-1, 2)
-    for patch in (g, h):
-        levels.covered_spans(patch, levels.ALL_SPANS)
+    for own in (work, other):
+        levels.window_cells(own)
     pairs = np.empty((1024, 2), np.int64)
-    count = hull.span_pairs(g, h, hold, pairs)
+    count = hull.span_pairs(g.box, g.covers, h.box, h.covers, hold, pairs)
     if count > len(pairs):
         pairs = np.empty((count, 2), np.int64)
-        hull.span_pairs(g, h, hold, pairs)
+        hull.span_pairs(g.box, g.covers, h.box, h.covers, hold, pairs)
     return pairs[:count]
 
 
@@ -109,7 +109,10 @@ def _crossings(
     """Triangulation (4.6) and triangle tests (4.7) over the cells left."""
     tri_a, first_a = triangulate(g, mine, len(mine), work.new_mark())
     tri_b, first_b = triangulate(h, its, len(its), other.new_mark())
-    found, segments = crossing_triangles(g, tri_a, first_a, h, tri_b, first_b, pairs)
+    found, segments, tests = crossing_triangles(
+        g.points, g.inside, tri_a, first_a, h.points, h.inside, tri_b, first_b, pairs
+    )
+    g.counters[5:8] += np.array([len(tri_a) + len(tri_b), tests, len(found)])
     if not len(found):
         return []
     full = lambda value: np.full(len(found), value, dtype=np.int64)  # noqa: E731

@@ -41,7 +41,7 @@ class Relation(IntEnum):
 
 DISJOINT, TOUCHING, CROSSING, COPLANAR_OVERLAP = (int(r) for r in Relation)
 
-WORK = 32
+WORK = 27
 """Length of the scratch array that `tri_tri` wants."""
 
 
@@ -55,78 +55,68 @@ def triangle_relation(p: ArrayLike, q: ArrayLike) -> tuple[Relation, Array | Non
     a, b = np.array(p, dtype=np.float64), np.array(q, dtype=np.float64)
     if a.shape != (3, 3) or b.shape != (3, 3) or not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise GeometryError("a triangle needs three finite points", where="triangle test")
-    segment = np.empty((2, 3))
-    relation = Relation(tri_tri(a, b, segment, np.empty(WORK)))
-    return relation, None if np.isnan(segment[0, 0]) else segment
+    segment = np.empty(6)
+    relation = Relation(tri_tri(np.concatenate([a, b]), segment, np.empty(WORK)))
+    return relation, None if np.isnan(segment[0]) else segment.reshape(2, 3)
 
 
 @njit
-def tri_tri(p: Array, q: Array, segment: Array, work: Array) -> int:
-    """The relation of the triangles p and q (3, 3); `segment` (2, 3) takes the common segment, or NaN where there is none.
+def tri_tri(t: Array, segment: Array, work: Array) -> int:
+    """The relation of the triangles p = t[0:3] and q = t[3:6], t (6, 3); `segment` (6,) takes the two ends of the common
+    segment, or NaN where there is none.
 
-    work (WORK,) is scratch.
+    work (WORK,) is scratch: s1 (3,), s2 (3,), e (9,), and the ends that lie in the other triangle, of p (6,) and of q (6,).
     """
-    segment[:] = np.nan
-    s1, s2, e = work[0:3], work[3:6], work[6:15]
-    plane_signs(q, p, s1)
-    if one_sided(s1):
-        return DISJOINT
-    plane_signs(p, q, s2)
-    if one_sided(s2):
-        return DISJOINT
-    for k in range(9):
-        i, j = k // 3, k % 3
-        e[k] = side(p, i, p, (i + 1) % 3, q, j, q, (j + 1) % 3)
-    coplanar = True
     for k in range(6):
-        coplanar = coplanar and work[k] == 0.0
+        segment[k] = np.nan
+    for k in range(15):
+        if k < 3:
+            work[k] = side(t, 3, 4, 5, k)
+        elif k < 6:
+            work[k] = side(t, 0, 1, 2, k)
+        else:
+            i, j = (k - 6) // 3, (k - 6) % 3
+            work[k] = side(t, i, (i + 1) % 3, 3 + j, 3 + (j + 1) % 3)
+        if (k == 2 or k == 5) and (
+            (work[k - 2] > 0.0 and work[k - 1] > 0.0 and work[k] > 0.0)
+            or (work[k - 2] < 0.0 and work[k - 1] < 0.0 and work[k] < 0.0)
+        ):
+            return DISJOINT
+    coplanar, parallel = True, True
+    for k in range(15):
+        if work[k] != 0.0:
+            coplanar = coplanar and k >= 6
+            parallel = False
     if coplanar:
-        for k in range(9):
-            if e[k] != 0.0:
-                return DISJOINT  # two triangles without area, on lines that pass each other
-        return flat_relation(p, q)
+        # or two triangles without area, on lines that pass each other
+        return flat_relation(t) if parallel else DISJOINT
     # the ends of each triangle's interval on the common line, those that lie in the other triangle
-    first, first_strict = interval_ends(p, s1, e, 3, 1, work[15:21])
-    second, second_strict = interval_ends(q, s2, e, 1, 3, work[21:27])
+    first, first_strict = interval_ends(t, work, 0)
+    second, second_strict = interval_ends(t, work, 1)
     if first + second == 0:
         return DISJOINT
-    first_ends, second_ends = work[15:21], work[21:27]
     for k in range(3):
-        if first == 2:
-            segment[0, k], segment[1, k] = first_ends[k], first_ends[3 + k]
-        elif second == 2:
-            segment[0, k], segment[1, k] = second_ends[k], second_ends[3 + k]
+        if first == 2 or second == 0:
+            segment[k], segment[3 + k] = work[15 + k], work[15 + 3 * (first - 1) + k]
+        elif second == 2 or first == 0:
+            segment[k], segment[3 + k] = work[21 + k], work[21 + 3 * (second - 1) + k]
         else:
-            segment[0, k] = first_ends[k] if first > 0 else second_ends[k]
-            segment[1, k] = second_ends[k] if second > 0 else first_ends[k]
-    if not (mixed(s1[0], s1[1], s1[2]) and mixed(s2[0], s2[1], s2[2])):
+            segment[k], segment[3 + k] = work[15 + k], work[21 + k]
+    if not (mixed(work[0], work[1], work[2]) and mixed(work[3], work[4], work[5])):
         return TOUCHING
     if first == 1 and second == 1 and not first_strict and not second_strict:
         for k in range(3):  # one point, an end of both intervals
-            segment[1, k] = segment[0, k]
+            segment[3 + k] = segment[k]
         return TOUCHING
     return CROSSING
 
 
-@njit_inline
-def side(a: Array, i: int, b: Array, j: int, c: Array, k: int, d: Array, m: int) -> float:
-    """orient3d of the vertices a[i], b[j], c[k], d[m]: the one place where the test asks for a sign in space."""
+@njit
+def side(t: Array, a: int, b: int, c: int, d: int) -> float:
+    """orient3d of the rows a, b, c, d of t: the one place where the test asks for a sign in space."""
     return orient3d(
-        a[i, 0], a[i, 1], a[i, 2], b[j, 0], b[j, 1], b[j, 2], c[k, 0], c[k, 1], c[k, 2], d[m, 0], d[m, 1], d[m, 2]
+        t[a, 0], t[a, 1], t[a, 2], t[b, 0], t[b, 1], t[b, 2], t[c, 0], t[c, 1], t[c, 2], t[d, 0], t[d, 1], t[d, 2]
     )
-
-
-@njit
-def plane_signs(p: Array, q: Array, s: Array) -> None:
-    """s[i] = orient3d(p0, p1, p2, q_i)."""
-    for i in range(len(s)):
-        s[i] = side(p, 0, p, 1, p, 2, q, i)
-
-
-@njit
-def one_sided(s: Array) -> bool:
-    """All three signs are strictly the same."""
-    return (s[0] > 0.0 and s[1] > 0.0 and s[2] > 0.0) or (s[0] < 0.0 and s[1] < 0.0 and s[2] < 0.0)
 
 
 @njit_inline
@@ -136,106 +126,97 @@ def mixed(x: float, y: float, z: float) -> bool:
 
 
 @njit
-def interval_ends(p: Array, s: Array, e: Array, edge: int, other: int, ends: Array) -> tuple[int, bool]:
-    """The points where the outline of p goes through the other triangle's plane and lies in the other triangle.
+def interval_ends(t: Array, work: Array, which: int) -> tuple[int, bool]:
+    """The points where the outline of one triangle (0: p, 1: q) goes through the other's plane and lies in the other.
 
-    s: signs of p's vertices against that plane. Row i of e, seen from p, is e[i edge + j other]. Returns how many points
-    (0, 1, 2; each into `ends` (6,)) and whether one of them lies strictly inside.
+    Returns how many points (0, 1, 2; each into work[15:21] or work[21:27]) and whether one of them lies strictly inside.
     """
+    s, o, ends = 3 * which, 3 * which, 15 + 6 * which
+    # row i of e, seen from the triangle
+    edge, other = (3, 1) if which == 0 else (1, 3)
     count = 0
     strict = False
     for i in range(3):
-        j = (i + 1) % 3
-        h = (i + 2) % 3
-        at_vertex = s[i] == 0.0
-        if at_vertex and s[j] != 0.0:
+        j, h = (i + 1) % 3, (i + 2) % 3
+        here, ahead, behind = work[s + i], work[s + j], work[s + h]
+        if here == 0.0 and ahead != 0.0:
             row = i
-        elif at_vertex and s[h] != 0.0:
+        elif here == 0.0 and behind != 0.0:
             row = h
-        elif (s[i] < 0.0 and s[j] > 0.0) or (s[i] > 0.0 and s[j] < 0.0):
+        elif (here < 0.0 and ahead > 0.0) or (here > 0.0 and ahead < 0.0):
             row = i
         else:
             continue
-        x, y, z = e[row * edge], e[row * edge + other], e[row * edge + 2 * other]
-        if mixed(x, y, z):
+        k = 6 + row * edge
+        x, y, z = work[k], work[k + other], work[k + 2 * other]
+        if mixed(x, y, z) or count == 2:
             continue
         strict = strict or (x != 0.0 and y != 0.0 and z != 0.0)
-        t = 0.0 if at_vertex else s[i] / (s[i] - s[j])
-        for k in range(3):
-            ends[3 * count + k] = p[i, k] + t * (p[j, k] - p[i, k])
+        f = 0.0 if here == 0.0 else here / (here - ahead)
+        for c in range(3):
+            work[ends + 3 * count + c] = t[o + i, c] + f * (t[o + j, c] - t[o + i, c])
         count += 1
-        if count == 2:
-            break
     return count, strict
 
 
 @njit
-def turn(a: Array, b: Array, c: Array, axis: int) -> float:
-    """orient2d of a, b, c (3,) with the coordinate `axis` dropped."""
-    x = (axis + 1) % 3
-    y = (axis + 2) % 3
-    return orient2d(a[x], a[y], b[x], b[y], c[x], c[y])
+def turn(t: Array, a: int, b: int, c: int, axis: int) -> float:
+    """orient2d of the rows a, b, c of t with the coordinate `axis` dropped."""
+    x, y = (axis + 1) % 3, (axis + 2) % 3
+    return orient2d(t[a, x], t[a, y], t[b, x], t[b, y], t[c, x], t[c, y])
 
 
 @njit
-def area_sign(p: Array, axis: int) -> float:
-    """Orientation of the triangle p (3, 3) with the coordinate `axis` dropped."""
-    return turn(p[0], p[1], p[2], axis)
-
-
-@njit
-def flat_relation(p: Array, q: Array) -> int:
+def flat_relation(t: Array) -> int:
     """The relation of two triangles in one plane, with or without area: separating lines along their edges."""
     # a projection in which the plane (or, of two triangles without area, the plane that holds both) does not collapse
     axis = -1
     largest = 0.0
     for k in range(3):
-        size = abs(area_sign(p, k)) + abs(area_sign(q, k))
+        size = abs(turn(t, 0, 1, 2, k)) + abs(turn(t, 3, 4, 5, k))
         if size > largest:
             axis, largest = k, size
+    for k in range(27):
+        if axis < 0 and (
+            turn(t, k % 3, (k + 1) % 3, 3 + k // 3 % 3, k // 9) != 0.0
+            or turn(t, 3 + k % 3, 3 + (k + 1) % 3, k // 3 % 3, k // 9) != 0.0
+        ):
+            axis = k // 9
     if axis < 0:
-        for k in range(3):
-            for i in range(3):
-                for j in range(3):
-                    if turn(p[i], p[(i + 1) % 3], q[j], k) != 0.0 or turn(q[i], q[(i + 1) % 3], p[j], k) != 0.0:
-                        axis = k
-    if axis < 0:
-        return collinear_relation(p, q)
-    interiors_meet = area_sign(p, axis) != 0.0 and area_sign(q, axis) != 0.0
-    for which in range(2):
-        a, b = (p, q) if which == 0 else (q, p)
-        for i in range(len(a)):
-            own = turn(a[i], a[(i + 1) % 3], a[(i + 2) % 3], axis)
-            left, right = 0, 0
-            for j in range(3):
-                place = turn(a[i], a[(i + 1) % 3], b[j], axis)
-                left += place > 0.0
-                right += place < 0.0
-            if (own >= 0.0 and right == 3) or (own <= 0.0 and left == 3):
-                return DISJOINT
-            if (own > 0.0 and left == 0) or (own < 0.0 and right == 0):
-                interiors_meet = False
+        return collinear_relation(t)
+    interiors_meet = turn(t, 0, 1, 2, axis) != 0.0 and turn(t, 3, 4, 5, axis) != 0.0
+    for k in range(6):
+        mine, its = k // 3 * 3, 3 - k // 3 * 3
+        a, b = mine + k % 3, mine + (k + 1) % 3
+        own = turn(t, a, b, mine + (k + 2) % 3, axis)
+        left, right = 0, 0
+        for j in range(3):
+            place = turn(t, a, b, its + j, axis)
+            left += place > 0.0
+            right += place < 0.0
+        if (own >= 0.0 and right == 3) or (own <= 0.0 and left == 3):
+            return DISJOINT
+        if (own > 0.0 and left == 0) or (own < 0.0 and right == 0):
+            interiors_meet = False
     return COPLANAR_OVERLAP if interiors_meet else TOUCHING
 
 
 @njit
-def precedes(a: Array, b: Array) -> bool:
-    """a comes before b in lexicographic order, the order along any line."""
+def precedes(t: Array, a: int, b: int) -> bool:
+    """Row a of t comes before row b in lexicographic order, the order along any line."""
     for k in range(3):
-        if a[k] != b[k]:
-            return bool(a[k] < b[k])
+        if t[a, k] != t[b, k]:
+            return bool(t[a, k] < t[b, k])
     return False
 
 
 @njit
-def collinear_relation(p: Array, q: Array) -> int:
+def collinear_relation(t: Array) -> int:
     """Six points on one line: do the two stretches of three meet?"""
-    p_low, p_high, q_low, q_high = 0, 0, 0, 0
+    p_low, p_high, q_low, q_high = 0, 0, 3, 3
     for i in range(1, 3):
-        p_low = i if precedes(p[i], p[p_low]) else p_low
-        p_high = i if precedes(p[p_high], p[i]) else p_high
-        q_low = i if precedes(q[i], q[q_low]) else q_low
-        q_high = i if precedes(q[q_high], q[i]) else q_high
-    if precedes(p[p_high], q[q_low]) or precedes(q[q_high], p[p_low]):
-        return DISJOINT
-    return TOUCHING
+        p_low = i if precedes(t, i, p_low) else p_low
+        p_high = i if precedes(t, p_high, i) else p_high
+        q_low = 3 + i if precedes(t, 3 + i, q_low) else q_low
+        q_high = 3 + i if precedes(t, q_high, 3 + i) else q_high
+    return DISJOINT if precedes(t, p_high, q_low) or precedes(t, q_high, p_low) else TOUCHING

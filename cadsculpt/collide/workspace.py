@@ -28,6 +28,21 @@ CLOSED = 1e-9
 """Edges and poles count as closed when they agree to this fraction of the net's size."""
 
 
+class Tree(NamedTuple):
+    """What kernels see of one patch's cells on all levels of detail; the fields are those of `Patch`."""
+
+    count: Index
+    offset: Index
+    row_u: Index
+    row_v: Index
+    child_u: Index
+    child_v: Index
+    covers: Mask
+    spheres: Array
+    mark: Index
+    slot: Index
+
+
 class Patch(NamedTuple):
     """What kernels see of one patch and its net.
 
@@ -141,6 +156,12 @@ class Workspace:
                 slack=ROUND_OFF * float(np.abs(self.extent).max()), paper=paper, delta=delta,
             )  # fmt: skip
         return self.patch
+
+    @property
+    def tree(self) -> Tree:
+        """The cells of the loaded patch."""
+        g = self.patch
+        return Tree(g.count, g.offset, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.mark, g.slot)
 
     def new_mark(self) -> int:
         """A number that no entry of `mark` and `visit` holds yet."""

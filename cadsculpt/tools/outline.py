@@ -62,8 +62,8 @@ def _revolve(profile: Array, sides: int) -> tuple[Array, Index]:
 
 
 def _grid_triangles(rows: int, columns: int, *, wrap: bool) -> Index:
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns if wrap else columns - 1), indexing="ij")
-    i, j = i.ravel(), j.ravel()
+    mesh = np.meshgrid(np.arange(rows - 1), np.arange(columns if wrap else columns - 1), indexing="ij")
+    i, j = (index.ravel() for index in mesh)
     a, b = i * columns + j, i * columns + (j + 1) % columns
     c, d = a + columns, b + columns
     return np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])

@@ -109,7 +109,8 @@ def test_no_contact_lies_outside_the_window(shapes, seed):
     ]
     pairs = np.empty((10000, 2), np.int64)
     margin = 0.05
-    window = {tuple(x) for x in pairs[: span_pairs(*patches, margin, pairs)]}
+    count = span_pairs(patches[0].box, patches[0].covers, patches[1].box, patches[1].covers, margin, pairs)
+    window = {tuple(x) for x in pairs[:count]}
     samples = []
     for surface, net, grid in zip((a, b), (a.control_points, other), grids, strict=True):
         (u0, u1), (v0, v1) = surface.domain

@@ -125,3 +125,17 @@ def test_inspect_of_a_missing_file_is_one_line(tmp_path: Path, capsys: pytest.Ca
         assert said.err.startswith("error: ")
         assert said.err.count("\n") == 1
         assert name in said.err
+
+
+@pytest.mark.corpus
+@pytest.mark.parametrize(("name", "unit"), [("cube-mm.step", "mm"), ("cube-m.step", "m")])
+def test_lengths_are_mm_whatever_the_files_unit(
+    corpus: Path, name: str, unit: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cadsculpt(["inspect", str(corpus / "step" / name), "--json", "--quiet"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["units"] == unit
+    assert len(found["faces"]) == 6
+    assert found["area"] == pytest.approx(6.0e6, rel=1e-9)  # a cube with edges of 1 m
+    size = np.ptp(np.array(found["bbox"]).reshape(2, 3), axis=0)
+    assert size == pytest.approx([1000.0] * 3, rel=1e-9)

@@ -92,7 +92,7 @@ def half_cylinder(radius: float, length: float, outward: bool = True) -> BSpline
 
 
 def press_at(seen: FaceSurvey, spot: Spot, shape: str, around: Array) -> Press | None:
-    press = wanted(seen, spot)
+    press = wanted(seen, spot, bold=False)
     return None if press is None else placed(press, shape, around)
 
 
@@ -276,3 +276,31 @@ def test_a_face_that_is_not_there_and_a_shape_that_cannot_be_placed(panel_file: 
 
 def test_the_command_offers_what_can_be_placed() -> None:
     assert cli_new.SHAPES == SHAPES
+
+
+@pytest.mark.corpus
+@pytest.mark.parametrize(
+    "name", ["step/trj7_c2-al-214.stp", "iges/BUC50025.igs", "rhino/v2_Terrain.3dm", "step/bm2_ec_t4-A.stp"]
+)
+def test_real_parts_get_a_scene_that_presses_a_free_form_face(corpus: Path, name: str, tmp_path: Path) -> None:
+    made = new_scene(corpus / name, tmp_path / "scene.toml")
+    assert made.face.kind in ("bspline", "bezier")
+    assert made.scene.units == {"step/bm2_ec_t4-A.stp": "m"}.get(name, "mm")
+    assert 50 <= made.steps <= 500
+    assert made.nodes < 20_000
+
+
+@pytest.mark.corpus
+def test_a_face_that_bends_sharply_gets_a_thinner_lattice(corpus: Path, tmp_path: Path) -> None:
+    made = new_scene(corpus / "iges" / "PRO19800.igs", tmp_path / "scene.toml")
+    assert made.depth < 0.5 * made.scene.model[0].thickness
+
+
+@pytest.mark.corpus
+def test_two_copies_of_one_face_do_not_hide_each_other(corpus: Path) -> None:
+    from cadsculpt.formats import registry
+
+    part = registry.read(corpus / "iges" / "OCC17026-1.igs")
+    around = np.concatenate([samples.points for samples in part_samples(part).values()])
+    for spot in survey(part.faces[0]).spots(around):
+        assert spot.free_radius > 0.01 * spot.room
