@@ -47,7 +47,9 @@ class FrameMaker:
         views = []
         for patch in model.patches:
             matrices = patch.grid.matrices
-            rows, columns = (np.unique(np.rint(np.linspace(0, n - 1, min(n, MOST_ROWS))).astype(np.int64)) for n in matrices.shape)
+            rows, columns = (
+                np.unique(np.rint(np.linspace(0, n - 1, min(n, MOST_ROWS))).astype(np.int64)) for n in matrices.shape
+            )
             rest = matrices.points(patch.surface.control_points, patch.surface.weights)[np.ix_(rows, columns)]
             inside = None if patch.grid.inside is None else patch.grid.inside[np.ix_(rows, columns)]
             views.append(
@@ -56,8 +58,12 @@ class FrameMaker:
                     columns,
                     rest,
                     inside,
-                    _interpolation(patch.u, matrices.u[rows], wrap=patch.lattice.wrap[0], domain=patch.surface.domain[0]),
-                    _interpolation(patch.v, matrices.v[columns], wrap=patch.lattice.wrap[1], domain=patch.surface.domain[1]),
+                    _interpolation(
+                        patch.u, matrices.u[rows], wrap=patch.lattice.wrap[0], domain=patch.surface.domain[0]
+                    ),
+                    _interpolation(
+                        patch.v, matrices.v[columns], wrap=patch.lattice.wrap[1], domain=patch.surface.domain[1]
+                    ),
                 )
             )
         several = len(model.bodies) > 1
@@ -76,7 +82,9 @@ class FrameMaker:
         patches = []
         for index, (patch, view) in enumerate(zip(model.patches, self._views, strict=True)):
             matrices = patch.grid.matrices
-            points = matrices.points(state.control_points[index], patch.surface.weights)[np.ix_(view.rows, view.columns)]
+            points = matrices.points(state.control_points[index], patch.surface.weights)[
+                np.ix_(view.rows, view.columns)
+            ]
             pressure = np.zeros(view.rest.shape[:2])
             contact = np.zeros(view.rest.shape[:2], dtype=np.bool_)
             mine = np.flatnonzero((session.contacts.face == index) & (session.depths > 0))

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 STILL = 0.05
-"""Nodes that moved by less than this share of the refit's tolerance count as not moved: their control points keep their bits."""
+"""Nodes that moved by less than this share of the refit's tolerance did not move: their control points keep their bits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,9 +99,7 @@ def build_model(
         for spec in scene.tool
     )
     swept = np.concatenate([swept_boxes(tool) for tool in tools])
-    patches = tuple(
-        build_patch(scene, spec, index, face, spacing, swept, unit) for spec, index, face, spacing in faces
-    )
+    patches = tuple(build_patch(scene, spec, index, face, spacing, swept, unit) for spec, index, face, spacing in faces)
     points = np.concatenate([patch.surface.control_points.reshape(-1, 3) for patch in patches])
     step = _step(scene, tools, finest, patches)
     duration = max(tool.path.duration for tool in tools)

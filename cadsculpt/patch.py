@@ -1,4 +1,4 @@
-"""One face prepared for sculpting: its net refined, its lattice, matrices and refit made (paper section 4.1, pre-processing)."""
+"""One face prepared for sculpting: its net refined, its lattice, matrices and refit made (paper section 4.1)."""
 
 from __future__ import annotations
 
@@ -102,7 +102,9 @@ def build_patch(
     source.validate()
     window = node_window(source)
     reached = reached_window(source, window, max(spacing), swept) if scene.refit.refine else None
-    nodes = node_grid(source, spacing, window=window, refine=reached, most_control_points=scene.refit.max_control_points)
+    nodes = node_grid(
+        source, spacing, window=window, refine=reached, most_control_points=scene.refit.max_control_points
+    )
     surface = nodes.surface
     normals = surface.normal(nodes.u[:, None], nodes.v)
     if not np.isfinite(normals).all():
@@ -114,7 +116,9 @@ def build_patch(
         )
     material = scene.material_of(spec.material)
     on_face = inside(
-        surface, _cell_middles(nodes.u, surface, 0, wrap=nodes.wrap_u), _cell_middles(nodes.v, surface, 1, wrap=nodes.wrap_v)
+        surface,
+        _cell_middles(nodes.u, surface, 0, wrap=nodes.wrap_u),
+        _cell_middles(nodes.v, surface, 1, wrap=nodes.wrap_v),
     )
     ghost = replace(
         material,

@@ -219,7 +219,9 @@ def _warnings(model: Model, history: History, summary: Summary) -> list[str]:
     limit = model.scene.solver.max_penetration
     for first, last, worst in history.too_deep(limit):
         steps = f"step {first}" if first == last else f"steps {first} to {last}"
-        lines.append(f"{steps}: residual penetration up to {worst:.3g} {unit}, above max_penetration {limit:.3g} {unit}")
+        lines.append(
+            f"{steps}: residual penetration up to {worst:.3g} {unit}, above max_penetration {limit:.3g} {unit}"
+        )
     if summary.refit_max_error > model.scene.refit.tolerance:
         lines.append(
             f"the refit surfaces are up to {summary.refit_max_error:.3g} {unit} away from their nodes, "

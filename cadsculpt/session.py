@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.contacts import Contacts
-from .collide.detect import Counters, DetectCache, DetectOptions, Detection, detect
+from .collide.detect import Counters, DetectCache, Detection, DetectOptions, detect
 from .errors import InputError
 from .model import Model
 from .motion.pose import Pose
@@ -116,7 +116,9 @@ class Session:
         for index in range(len(model.patches)):
             self._refit(index)
         for phase, seconds in zip(
-            ("collide", "lattice", "refit"), (collided - tick, advanced - collided, self._tick() - advanced), strict=True
+            ("collide", "lattice", "refit"),
+            (collided - tick, advanced - collided, self._tick() - advanced),
+            strict=True,
         ):
             self.timing[phase].append(seconds)
         reactions = self._reactions(contacts, forces, depths, before, after)
@@ -130,9 +132,7 @@ class Session:
         model, state = self.model, self.state
         placed = [tool.tool.placed(pose) for tool, pose in zip(model.tools, poses or state.poses, strict=True)]
         options = model.options
-        options = DetectOptions(
-            mode=options.mode, tolerance=options.tolerance, delta=options.delta, margin=margin
-        )
+        options = DetectOptions(mode=options.mode, tolerance=options.tolerance, delta=options.delta, margin=margin)
         parts = []
         for body in range(len(model.bodies)):
             index = [i for i, patch in enumerate(model.patches) if patch.body == body]
@@ -204,7 +204,10 @@ class Session:
         except KeyError as error:
             raise InputError(f"the checkpoint lacks {error}", mend="start the run again with --force") from None
         shapes = [net.shape for net in state.control_points], [lattice.x.shape for lattice in state.lattices]
-        mine = [p.surface.control_points.shape for p in self.model.patches], [p.lattice.nodes.shape for p in self.model.patches]
+        mine = (
+            [p.surface.control_points.shape for p in self.model.patches],
+            [p.lattice.nodes.shape for p in self.model.patches],
+        )
         if shapes != mine or len(state.poses) != len(self.model.tools):
             raise InputError("the checkpoint belongs to another scene", mend="start the run again with --force")
         self.state = state

@@ -43,7 +43,7 @@ class _AreaElement:
         i, x, half = _local(self.u, u)
         j, y, _ = _local(self.v, v)
         up_to = (_primitives(x) * half[:, None])[:, :, None] * self.coefficients[i, j]
-        return np.einsum("kb,kb->k", self.before[i, j] + up_to.sum(axis=1), legendre.legvander(y, ORDER - 1))
+        return np.asarray((self.before[i, j] + up_to.sum(axis=1)) * legendre.legvander(y, ORDER - 1)).sum(axis=1)
 
 
 def _local(borders: Array, t: Array) -> tuple[NDArray[np.int64], Array, Array]:

@@ -73,8 +73,7 @@ class FaceSurvey:
         while len(found) < most and left.max() > 0.25 * self.room.max():
             i, j = np.unravel_index(int(np.argmax(left)), left.shape)
             point, normal, room = self.points[i, j], self.normals[i, j], float(left[i, j])
-            # nearer points are the place itself, or a copy of the face
-            free = free_radius(point, normal, cloud[np.linalg.norm(cloud - point, axis=1) > 1e-4 * room])
+            free = free_radius(point, normal, cloud, nearest=1e-4 * room)
             found.append(Spot(float(self.u[i]), float(self.v[j]), point, normal, room, free))
             left = np.where(np.linalg.norm(self.points - point, axis=2) < 0.5 * room, 0.0, left)
         return found
@@ -144,17 +143,16 @@ def border(face: Face, surface: BSplineSurface) -> Array:
     return np.concatenate([_dense(chain, 64) for chain in chains])
 
 
-def free_radius(point: Array, normal: Array, cloud: Array) -> float:
+def free_radius(point: Array, normal: Array, cloud: Array, nearest: float) -> float:
     """Radius of the largest ball that touches `point` on the side of `normal` and holds no point of the cloud (k, 3).
 
     A ball of radius r at point + r n holds x when |x - point|^2 < 2 r n.(x - point) (Ma, Bae, Choi 2012).
+    nearest : points within this distance are left out; they are the place itself, or that on a copy of the face.
     """
     to = cloud - point
-    height = to @ normal
-    above = height > 0.0
-    if not above.any():
-        return np.inf
-    return float((np.einsum("kc,kc->k", to[above], to[above]) / (2.0 * height[above])).min())
+    height, distance = to @ normal, np.einsum("kc,kc->k", to, to)
+    above = (height > 0.0) & (distance > nearest**2)
+    return float((distance[above] / (2.0 * height[above])).min(initial=np.inf))
 
 
 def fold_thickness(points: Array, normals: Array) -> float:

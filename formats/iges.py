@@ -259,4 +259,4 @@ def _settled(file: IgesFile, name: str) -> IgesFile:
 
 
 def _has_solid(shape: TopoDS_Shape) -> bool:
-    return TopExp_Explorer(shape, TopAbs_ShapeEnum.TopAbs_SOLID).More()
+    return bool(TopExp_Explorer(shape, TopAbs_ShapeEnum.TopAbs_SOLID).More())

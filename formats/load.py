@@ -87,7 +87,9 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     paths = {spec.name: _path(scene, spec.name) for spec in scene.tool}
     model = build_model(scene, bodies, paths, surfaces)
     models = {path for path, _ in faces}
-    return Loaded(scene, model, {path: part for path, part in parts.items() if path in models}, tuple(faces), tuple(warnings))
+    return Loaded(
+        scene, model, {path: part for path, part in parts.items() if path in models}, tuple(faces), tuple(warnings)
+    )
 
 
 def _source_face(spec: ModelSpec, part: Part, face: Face, units: str) -> SourceFace:

@@ -83,6 +83,7 @@ class OcctPart(Part):
         with quiet():
             sculpt(self, surfaces)
         self.sculpted = True
+        self._areas.clear()
 
     def validity(self) -> Validity:
         with quiet():
@@ -112,7 +113,7 @@ class OcctPart(Part):
         """Say in one line of the warnings where the kernel's own quadrature gives another area than ours."""
         self._areas[number] = (area, kernel)
         total, other = (sum(column) for column in zip(*self._areas.values(), strict=True))
-        self.warnings = [line for line in self.warnings if not line.startswith(_AREA_LINE)]
+        self.warnings[:] = [line for line in self.warnings if not line.startswith(_AREA_LINE)]
         if abs(total - other) > WORTH_SAYING * total:
             self.warnings.append(
                 f"{_AREA_LINE} is {total:.6g} mm2, integrated exactly; OpenCASCADE's own quadrature, which other readers"
@@ -145,11 +146,6 @@ class _Numbers:
             if self._faces[number - 1].IsSame(face):
                 return number
         return 0
-
-    def warn(self, line: str) -> None:
-        """Add a line to the warnings, once."""
-        if line not in self.warnings:
-            self.warnings.append(line)
 
     def faces_on(self, edge: TopoDS_Edge) -> tuple[int, ...]:
         """Numbers of the faces that an edge bounds, ascending."""

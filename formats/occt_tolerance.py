@@ -58,7 +58,7 @@ def placed(points: Array, location: TopLoc_Location) -> Array:
         return points
     t = location.Transformation()
     matrix = np.array([[t.Value(i, j) for j in (1, 2, 3, 4)] for i in (1, 2, 3)])
-    return points @ matrix[:, :3].T + matrix[:, 3]
+    return np.asarray(points @ matrix[:, :3].T + matrix[:, 3], dtype=np.float64)
 
 
 def curves_on_faces(edge: TopoDS_Edge) -> Iterator[CurveOnFace]:

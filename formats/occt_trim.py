@@ -129,7 +129,7 @@ def carried_trim(
                 data[:, 0, axis] = parameter(data[:, 0, axis])[:, 0]
                 data[:, 1, axis] = rates[:, 1] * one
                 data[:, 2, axis] = rates[:, 2] * one * one + rates[:, 1] * two
-        return data * stretch
+        return np.asarray(data * stretch, dtype=np.float64)
 
     poles, knots, _ = fit_curve(evaluate, breaks, tolerance)
     return TrimCurve(poles / stretch, knots, 5)

@@ -181,13 +181,17 @@ def _deferred_interrupt() -> Iterator[Callable[[], bool]]:
 
 def _make_room(folder: Path, partial: Path, *, force: bool, resume: bool) -> None:
     if folder.exists() and not force:
-        raise InputError("it exists", where=str(folder), mend="choose another folder with -o, or overwrite it with --force")
+        raise InputError(
+            "it exists", where=str(folder), mend="choose another folder with -o, or overwrite it with --force"
+        )
     if resume and not (partial / "checkpoint.npz").exists():
         raise InputError("there is no interrupted run to resume", where=str(partial), mend="run it without --resume")
     if partial.exists() and not resume:
         if not force:
             raise InputError(
-                "an interrupted run lies here", where=str(partial), mend="go on with --resume, or start again with --force"
+                "an interrupted run lies here",
+                where=str(partial),
+                mend="go on with --resume, or start again with --force",
             )
         shutil.rmtree(partial, ignore_errors=True)
 
@@ -310,9 +314,7 @@ class _Writing:
                 mend="start again with --force",
             )
         self._saved = int(arrays.pop("saved"))
-        self._frames = list(
-            zip(arrays.pop("frame_times").tolist(), arrays.pop("frame_names").tolist(), strict=True)
-        )
+        self._frames = list(zip(arrays.pop("frame_times").tolist(), arrays.pop("frame_names").tolist(), strict=True))
         return arrays
 
     def _spool(self) -> None:
@@ -320,8 +322,7 @@ class _Writing:
         if not self._steps:
             return
         columns: dict[str, Any] = {
-            f"step_{name}": np.array([getattr(record, name) for record in self._steps])
-            for name in StepRecord.__slots__
+            f"step_{name}": np.array([getattr(record, name) for record in self._steps]) for name in StepRecord.__slots__
         }
         columns["count"] = np.array([len(record.contacts) for record in self._contacts])
         for name in Contacts.__slots__:

@@ -41,7 +41,9 @@ def test_every_file_that_the_docs_name_exists():
         for target in re.findall(r"\]\(([^)#]+)\)", text):
             if "://" not in target:
                 assert (page.parent / target).exists(), f"{page.name} links to {target}"
-    for path in re.findall(r"`((?:cadsculpt|spline|collide|tools|physics)/\w+\.py)`", (ROOT / "docs/paper.md").read_text()):
+    for path in re.findall(
+        r"`((?:cadsculpt|spline|collide|tools|physics)/\w+\.py)`", (ROOT / "docs/paper.md").read_text()
+    ):
         found = ROOT / path if path.startswith("cadsculpt/") else ROOT / "cadsculpt" / path
         assert found.exists(), path
 

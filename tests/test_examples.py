@@ -39,7 +39,7 @@ def test_every_expectation_holds(runs, name):
 
 
 def test_thumb_press_keeps_the_dent_where_the_thumb_went(runs):
-    folder, outcome = runs["thumb_press"]
+    folder, _ = runs["thumb_press"]
     part = registry.read(folder / "surfaces.step")
     before = registry.read(EXAMPLES / "thumb_press" / "panel.step")
     assert len(part.faces) == len(before.faces) == 11

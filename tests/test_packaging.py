@@ -27,7 +27,9 @@ def test_the_wheel_holds_every_file(tmp_path):
     build = pytest.importorskip("build", reason="the wheel's content was not compared: `build` is not installed")
     del build
     subprocess.run(
-        [sys.executable, "-m", "build", "--wheel", "--outdir", str(tmp_path), str(ROOT)], check=True, capture_output=True
+        [sys.executable, "-m", "build", "--wheel", "--outdir", str(tmp_path), str(ROOT)],
+        check=True,
+        capture_output=True,
     )
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:

@@ -197,7 +197,9 @@ def test_the_unit_does_not_change_the_physics():
     """The same plate in mm and in inches: forces in N agree."""
     mm = run(model_of())
     inch = 25.4
-    rows = [(t, [c / inch for c in at]) for t, at in [(0.0, [20, 20, 8.5]), (0.03, [20, 20, 6.5]), (0.05, [20, 20, 9.0])]]
+    rows = [
+        (t, [c / inch for c in at]) for t, at in [(0.0, [20, 20, 8.5]), (0.03, [20, 20, 6.5]), (0.05, [20, 20, 9.0])]
+    ]
     scene = model_of(rows=[(t, [20.0 * 0, 0, 0]) for t, _ in rows]).scene  # the mm scene's text, to be changed
     data = json.loads(scene.model_dump_json(by_alias=True, exclude_none=True))
     data["units"] = "in"

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from . import hull, levels, quadrature
 from .contacts import Contacts
-from .workspace import Patch, Workspace
 from .query import DistanceField, FieldTool, Run, finest_size, on_face
+from .workspace import Patch, Workspace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

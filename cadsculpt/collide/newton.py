@@ -177,7 +177,7 @@ def compass(
     speed_v = np.sqrt(h[2, 0] * h[2, 0] + h[2, 1] * h[2, 1] + h[2, 2] * h[2, 2])
     su, sv = 1e-2 * (u1 - u0), 1e-2 * (v1 - v0)
     for _ in range(400):
-        if su * speed_u <= tolerance and sv * speed_v <= tolerance or su <= 1e-15 * (u1 - u0):
+        if (su * speed_u <= tolerance and sv * speed_v <= tolerance) or su <= 1e-15 * (u1 - u0):
             break
         best_u, best_v, best_f = u, v, f
         for k in range(9):

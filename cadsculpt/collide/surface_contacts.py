@@ -12,7 +12,6 @@ from . import hull, levels, quadrature
 from .closest import project
 from .contacts import Contacts
 from .crossing import crossing_triangles
-
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V
 from .query import Crossings, Run, SurfaceTool, extents_of, finest_size, on_face
 from .triangulate import triangulate

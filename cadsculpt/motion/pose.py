@@ -23,7 +23,7 @@ class Pose:
     @classmethod
     def turned(cls, at: ArrayLike, axis: ArrayLike = (0.0, 0.0, 1.0), degrees: float = 0.0) -> Pose:
         """At a place, turned about an axis (Rodrigues). A zero axis turns nothing."""
-        return cls(np.asarray(at, dtype=np.float64), rotation_matrix(np.asarray(axis, dtype=np.float64) , degrees))
+        return cls(np.asarray(at, dtype=np.float64), rotation_matrix(np.asarray(axis, dtype=np.float64), degrees))
 
     def to_world(self, points: Array) -> Array:
         """(..., 3) tool coordinates to world."""

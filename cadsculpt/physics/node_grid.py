@@ -47,6 +47,7 @@ class NodeGrid:
     wrap_v: bool
     window: tuple[tuple[float, float], tuple[float, float]]
 
+
 def node_grid(
     surface: BSplineSurface,
     spacing: tuple[float, float],
@@ -57,8 +58,10 @@ def node_grid(
 ) -> NodeGrid:
     """Nodes about `spacing` apart (along u, along v; the surface's unit) and the refined surface.
 
-    window : the piece of the domain to cover; None is all of it, and a closed direction is always covered whole. refine : the piece where knots are inserted, None for
-    nowhere. Raises InputError when there would be more than MOST_NODES nodes, GeometryError when the net cannot be refined
+    window : the piece of the domain to cover; None is all of it, and a closed direction is always covered whole.
+    refine : the piece where knots are inserted, None for nowhere.
+
+    Raises InputError when there would be more than MOST_NODES nodes, GeometryError when the net cannot be refined
     inside `most_control_points`.
     """
     whole = surface.domain
@@ -132,7 +135,9 @@ def _along(
         return _determined(knots, degree, t), np.zeros(0)
     periodic = (surface.periodic_u, surface.periodic_v)[axis]
     # a window's own ends become knots, so that supports end there
-    ends = np.array([x for x in (low, high) if surface.domain[axis][0] < x < surface.domain[axis][1] and x not in knots])
+    ends = np.array(
+        [x for x in (low, high) if surface.domain[axis][0] < x < surface.domain[axis][1] and x not in knots]
+    )
     for every in [s for s in STRIDES if s >= stride]:
         added = np.union1d(_candidates(t, knots, degree, refine, every, open_ends=not periodic), ends)
         if _is_determined(np.sort(np.concatenate([knots, added])), degree, t):

@@ -106,7 +106,9 @@ def basis_derivatives(knots: Array, degree: int, span: int, t: float, order: int
 
 
 @njit
-def design_rows(knots: Array, degree: int, count: int, t: Array, order: int, first: NDArray[np.int64], rows: Array) -> None:
+def design_rows(
+    knots: Array, degree: int, count: int, t: Array, order: int, first: NDArray[np.int64], rows: Array
+) -> None:
     """For each parameter: the first nonzero basis index into `first` (m,), derivatives into `rows` (order+1, m, degree+1)."""
     buffer = np.empty((order + 1, degree + 1))
     for i in range(len(t)):

@@ -86,7 +86,11 @@ def span_bounds(
         for a in range(p + 1):
             for b in range(q + 1):
                 w = net[i0 + a, j0 + b, 3]
-                x, y, z = net[i0 + a, j0 + b, 0] / w - cx, net[i0 + a, j0 + b, 1] / w - cy, net[i0 + a, j0 + b, 2] / w - cz
+                x, y, z = (
+                    net[i0 + a, j0 + b, 0] / w - cx,
+                    net[i0 + a, j0 + b, 1] / w - cy,
+                    net[i0 + a, j0 + b, 2] / w - cz,
+                )
                 reach = max(reach, x * x + y * y + z * z)
         reach = np.sqrt(reach)
     for k in range(5):
@@ -139,9 +143,7 @@ def longest_difference(
 
 
 @njit
-def separable_bound(
-    net: Array, knots_u: Array, knots_v: Array, p: int, q: int, i0: int, j0: int, k: int
-) -> float:
+def separable_bound(net: Array, knots_u: Array, knots_v: Array, p: int, q: int, i0: int, j0: int, k: int) -> float:
     """A bound on S_u, S_v or S_uv (k) where the span's weights are products a_i b_j, as in every surface of revolution,
     extrusion and quadric; infinite elsewhere.
 

@@ -18,11 +18,15 @@ Array = NDArray[np.float64]
 Tool = ImplicitTool | PointTool | SurfaceTool
 
 
-def make_tool(spec: ToolSpec, spacing: float, resolution: int | tuple[int, int], surfaces: Sequence[BSplineSurface]) -> Tool:
+def make_tool(
+    spec: ToolSpec, spacing: float, resolution: int | tuple[int, int], surfaces: Sequence[BSplineSurface]
+) -> Tool:
     """The tool that a [[tool]] table describes. `spacing` is the finest node spacing: a point stands for one node's cell."""
     where = f"tool {spec.name!r}"
     if spec.material is not None:
-        raise InputError("a deformable tool cannot be run yet", where=where, mend="leave its material out: it is rigid then")
+        raise InputError(
+            "a deformable tool cannot be run yet", where=where, mend="leave its material out: it is rigid then"
+        )
     if spec.control != "position":
         raise InputError(f"control = {spec.control!r} cannot be run yet", where=where, mend='use control = "position"')
     try:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceTool:
-    """A rigid tool of one or more patches, in the tool's frame and the scene's unit; each patch's `outward` is out of the tool."""
+    """A rigid tool of one or more patches, in the tool's frame and the scene's unit; `outward` is out of the tool."""
 
     grids: tuple[PatchGrid, ...]
 

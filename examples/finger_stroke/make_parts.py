@@ -1,6 +1,6 @@
 """Make saddle.igs (the part) and finger.json (the tool): a doubly curved sheet and the pad of a finger.
 
-    python make_parts.py
+python make_parts.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Make dome.3dm (the part) and probe.csv (the path): a stylus touches a dome at fourteen places.
 
-    python make_parts.py
+python make_parts.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Make panel.step: a clay panel with a crowned B-spline top, rounded corners and a round hole, all faces named.
 
-    python make_panel.py
+python make_panel.py
 """
 
 from __future__ import annotations

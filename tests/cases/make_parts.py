@@ -1,6 +1,6 @@
 """Make the parts of the cases in parts/: a flat plate, a paraboloid dome, a trimmed plate and a tool surface.
 
-    python make_parts.py
+python make_parts.py
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from cadsculpt.spline.surface import BSplineSurface, TrimCurve, TrimLoop
 ROUND = np.sqrt(0.5)
 
 
-def quadratic(size: float, a: float, b: float, *, trims: tuple[TrimLoop, ...] | None = None, name: str) -> BSplineSurface:
+def quadratic(
+    size: float, a: float, b: float, *, trims: tuple[TrimLoop, ...] | None = None, name: str
+) -> BSplineSurface:
     """z = -a x^2 - b y^2 exactly, over [-size/2, size/2]^2; u and v are x and y."""
     h = 0.5 * size
     knots = np.array([-h, -h, -h, h, h, h])

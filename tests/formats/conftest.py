@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from cadsculpt.formats.frame_mesh import FaceMesh
 from numpy.typing import NDArray
 
+from cadsculpt.formats.frame_mesh import FaceMesh
 from cadsculpt.record import Frame, PatchFrame, ToolFrame
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from cadsculpt.formats.atomic import WholeFile, whole_path, write_whole
 
 from cadsculpt.errors import InputError
+from cadsculpt.formats.atomic import WholeFile, whole_path, write_whole
 
 
 @contextmanager

@@ -8,6 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from cadsculpt.collide.contacts import Contacts
+from cadsculpt.errors import InputError
 from cadsculpt.formats.contacts_csv import (
     ContactsWriter,
     ForcesWriter,
@@ -16,12 +22,6 @@ from cadsculpt.formats.contacts_csv import (
     read_forces,
     write_displacements,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
-
-from cadsculpt.collide.contacts import Contacts
-from cadsculpt.errors import InputError
 from cadsculpt.record import ContactRecord, StepRecord
 
 AWKWARD = st.one_of(

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from cadsculpt.formats.frame_mesh import (
     FrameMesh,
     FrameMesher,
@@ -15,9 +18,6 @@ from cadsculpt.formats.frame_mesh import (
     normal_displacement,
     triangles_of,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-
 from cadsculpt.record import Frame, PatchFrame, ToolFrame
 
 TURN = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)

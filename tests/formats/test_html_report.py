@@ -14,6 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from cadsculpt.errors import InputError
+from cadsculpt.expect import Expectation
 from cadsculpt.formats.contacts_csv import ForcesWriter, ForceTable
 from cadsculpt.formats.frame_mesh import FrameMesher, borders, normal_displacement, triangles_of
 from cadsculpt.formats.html_report.plots import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, line_plot
@@ -21,9 +24,6 @@ from cadsculpt.formats.html_report.report import ReportImage, report_html, write
 from cadsculpt.formats.html_report.view_data import MOST_VERTICES, thinned, view_data
 from cadsculpt.formats.result_json import FileHash, Result, Timing, write_result
 from cadsculpt.formats.vtk_series import SeriesWriter
-
-from cadsculpt.errors import InputError
-from cadsculpt.expect import Expectation
 from cadsculpt.history import Summary
 from cadsculpt.record import StepRecord
 

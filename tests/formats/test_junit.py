@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
-from cadsculpt.formats.junit import junit_text, write_junit
-from cadsculpt.formats.result_json import Case
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cadsculpt.expect import Expectation
+from cadsculpt.formats.junit import junit_text, write_junit
+from cadsculpt.formats.result_json import Case
 
 CASES = [
     Case(

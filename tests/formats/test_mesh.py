@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cadsculpt.formats.mesh import TRIANGLE_FORMATS, read_triangles, write_lattice, write_triangles
 
 from cadsculpt.errors import InputError
+from cadsculpt.formats.mesh import TRIANGLE_FORMATS, read_triangles, write_lattice, write_triangles
 from cadsculpt.record import LatticeFrame
 
 

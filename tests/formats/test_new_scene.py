@@ -137,9 +137,15 @@ def test_the_free_ball_inside_a_cylinder_has_its_radius(radius: float, a: float,
     surface = half_cylinder(radius, 4.0 * radius, outward=False)
     u, v = 1.0 + 0.4 * a, 0.5 + 0.4 * b
     cloud = surface.evaluate(np.linspace(0.0, 2.0, 101)[:, None], np.linspace(0.0, 1.0, 41)).reshape(-1, 3)
-    found = free_radius(surface.evaluate(u, v), surface.normal(u, v), cloud)
+    found = free_radius(surface.evaluate(u, v), surface.normal(u, v), cloud, 1e-3 * radius)
     # the ball that touches both sides of a half pipe is the pipe's own; samples can only let it grow a little
     assert radius * (1.0 - 1e-5) <= found <= 1.02 * radius
+
+
+def test_a_copy_of_the_face_does_not_take_its_room() -> None:
+    copy = survey(SurfaceFace(2, rectangle(100.0, 40.0, z=1e-12))).points.reshape(-1, 3)
+    for spot in survey(SurfaceFace(1, rectangle(100.0, 40.0))).spots(copy):
+        assert spot.free_radius > 1e6
 
 
 def test_a_wall_above_the_face_limits_thetool_of() -> None:
@@ -294,13 +300,3 @@ def test_real_parts_get_a_scene_that_presses_a_free_form_face(corpus: Path, name
 def test_a_face_that_bends_sharply_gets_a_thinner_lattice(corpus: Path, tmp_path: Path) -> None:
     made = new_scene(corpus / "iges" / "PRO19800.igs", tmp_path / "scene.toml")
     assert made.depth < 0.5 * made.scene.model[0].thickness
-
-
-@pytest.mark.corpus
-def test_two_copies_of_one_face_do_not_hide_each_other(corpus: Path) -> None:
-    from cadsculpt.formats import registry
-
-    part = registry.read(corpus / "iges" / "OCC17026-1.igs")
-    around = np.concatenate([samples.points for samples in part_samples(part).values()])
-    for spot in survey(part.faces[0]).spots(around):
-        assert spot.free_radius > 0.01 * spot.room

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cadsculpt.formats import path_csv
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cadsculpt.errors import InputError, SceneError
+from cadsculpt.formats import path_csv
 from cadsculpt.motion.path import ToolPath
 from cadsculpt.motion.pose import rotation_matrix
 

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cadsculpt.errors import InputError
 from cadsculpt.formats.axis import round_ticks, tick_label
 from cadsculpt.formats.camera import FOOT, VIEW_ANGLE, Camera, camera_for
 from cadsculpt.formats.frame_mesh import FrameMesher
 from cadsculpt.formats.pictures import CAPTIONS, Film, Picture, animate, draw, render, run_pictures
 from cadsculpt.formats.pictures_draw import SCALE, colour_scale
-from hypothesis import given
-from hypothesis import strategies as st
-
-from cadsculpt.errors import InputError
 from cadsculpt.record import Frame, PatchFrame, ToolFrame
 
 

@@ -9,6 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from cadsculpt.errors import InputError
+from cadsculpt.expect import Expectation
 from cadsculpt.formats.result_json import (
     Case,
     FileHash,
@@ -21,9 +24,6 @@ from cadsculpt.formats.result_json import (
     result_schema,
     write_result,
 )
-
-from cadsculpt.errors import InputError
-from cadsculpt.expect import Expectation
 from cadsculpt.history import Summary
 
 RESULT = Result(

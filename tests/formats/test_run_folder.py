@@ -134,7 +134,7 @@ def test_ctrl_c_waits_for_the_end_of_the_step(scene, tmp_path):
         run_scene(scene, tmp_path / "cut", on_progress=interrupt)
     seen = []
     run_scene(scene, tmp_path / "cut", resume=True, on_progress=lambda p: seen.append(p.done))
-    assert [done for done in seen if done][0] == 13
+    assert next(done for done in seen if done) == 13
     for name in ("contacts.csv", "surfaces.json"):
         assert (tmp_path / "cut" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cadsculpt.formats import schema, toml_file, tool_toml
-from cadsculpt.formats.scene_toml import SceneFile, dump
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cadsculpt.errors import SceneError
+from cadsculpt.formats import schema, toml_file, tool_toml
+from cadsculpt.formats.scene_toml import SceneFile, dump
 from cadsculpt.scene import PathRow, Scene
 from cadsculpt.units import METRES_PER_UNIT
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cadsculpt.formats import tool_toml
 
 from cadsculpt.errors import SceneError
+from cadsculpt.formats import tool_toml
 from cadsculpt.scene import ToolSpec
 
 

@@ -10,6 +10,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+
+from cadsculpt.errors import InputError
 from cadsculpt.formats.frame_mesh import FaceMesh, FrameMesh, FrameMesher
 from cadsculpt.formats.vtk_series import (
     SeriesWriter,
@@ -19,8 +21,6 @@ from cadsculpt.formats.vtk_series import (
     write_frame,
     write_part,
 )
-
-from cadsculpt.errors import InputError
 from cadsculpt.record import Frame, ToolFrame
 
 ARRAYS = (

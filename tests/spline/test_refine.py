@@ -29,9 +29,7 @@ def random_surface(seed: int, degree: int, inner: int, *, rational: bool, period
         knots_u = clamped
         points = rng.normal(size=(count, count, 3))
         weights = rng.uniform(0.5, 2.0, (count, count))
-    return BSplineSurface(
-        points, knots_u, clamped, degree, degree, weights if rational else None, periodic_u=periodic
-    )
+    return BSplineSurface(points, knots_u, clamped, degree, degree, weights if rational else None, periodic_u=periodic)
 
 
 @settings(max_examples=60, deadline=None)

@@ -50,7 +50,7 @@ def test_a_distance_is_lipschitz(tool, points):
 
 def test_the_normal_is_the_gradient(tool, points):
     h = 1e-6
-    d, n = tool.field(points)
+    _, n = tool.field(points)
     gradient = np.stack(
         [(tool.field(points + h * e)[0] - tool.field(points - h * e)[0]) / (2 * h) for e in np.eye(3)], axis=1
     )
