@@ -43,7 +43,8 @@ class _AreaElement:
         i, x, half = _local(self.u, u)
         j, y, _ = _local(self.v, v)
         up_to = (_primitives(x) * half[:, None])[:, :, None] * self.coefficients[i, j]
-        return np.asarray((self.before[i, j] + up_to.sum(axis=1)) * legendre.legvander(y, ORDER - 1)).sum(axis=1)
+        values: Array = ((self.before[i, j] + up_to.sum(axis=1)) * legendre.legvander(y, ORDER - 1)).sum(axis=1)
+        return values
 
 
 def _local(borders: Array, t: Array) -> tuple[NDArray[np.int64], Array, Array]:
@@ -90,8 +91,11 @@ def trimmed_area(surface: BSplineSurface) -> float:
     if surface.trims is None:
         du, dv = np.diff(element.u), np.diff(element.v)
         return float(np.einsum("ij,i,j->", element.coefficients[:, :, 0, 0], du, dv))
-    total = sum(_along(curve, element) for loop in surface.trims for curve in loop.curves)
-    return abs(float(total))
+    total = 0.0
+    for loop in surface.trims:
+        inside = abs(sum(_along(curve, element) for curve in loop.curves))  # whichever way the loop runs
+        total += inside if loop.outer else -inside
+    return abs(total)
 
 
 def _along(curve: TrimCurve, element: _AreaElement) -> float:

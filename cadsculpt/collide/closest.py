@@ -58,13 +58,26 @@ def closest_points(grid: PatchGrid, net: Array, points: Array) -> Closest:
     state, owner = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     project(g, points, np.arange(len(points) + 1), 0.0, np.inf, 0, best, state, owner)
     return Closest(
-        best[:, U], best[:, V], best[:, POINT : POINT + 3], best[:, NORMAL : NORMAL + 3], best[:, DISTANCE], state == PROPER
+        best[:, U],
+        best[:, V],
+        best[:, POINT : POINT + 3],
+        best[:, NORMAL : NORMAL + 3],
+        best[:, DISTANCE],
+        state == PROPER,
     )
 
 
 @njit
 def project(
-    g: Patch, points: Array, group: Index, tie: float, beyond: float, patch: int, best: Array, state: Index, owner: Index
+    g: Patch,
+    points: Array,
+    group: Index,
+    tie: float,
+    beyond: float,
+    patch: int,
+    best: Array,
+    state: Index,
+    owner: Index,
 ) -> None:
     """Closest points of one patch to points (n, 3), where they are nearer than what `best` (n, 9) holds already.
 
@@ -74,7 +87,7 @@ def project(
     pseudo-normal of that edge) and the state becomes PROPER, for the edge is no border then.
     """
     tick, last = g.tick, len(g.offset) - 2
-    spheres, stamp, offset, tally, covers = g.spheres, g.sphere_stamp, g.offset, g.count, g.covers
+    spheres, stamp, offset, tally, covers = g.spheres, g.sphere_stamp, g.offset, g.tally, g.covers
     row_u, row_v, child_u, child_v, box = g.row_u, g.row_v, g.child_u, g.child_v, g.box
     spans, across = tally[0, 0] * tally[0, 1], tally[0, 1]
     here = np.empty((max(64, spans), 3), np.int64)

@@ -37,6 +37,21 @@ def cell_boxes(points: Array, triangles: Index, first: Index) -> Array:
 
 
 @njit
+def overlapping(box_a: Array, sag_a: Array, box_b: Array, sag_b: Array, pairs: Index, margin: float) -> Mask:
+    """Which pairs (k, 2) of cells can come within `margin`: their triangles' boxes (n, 6), grown by the sags (n,), do."""
+    out = np.empty(len(pairs), np.bool_)
+    for k in range(len(pairs)):
+        a, b = pairs[k, 0], pairs[k, 1]
+        pad = sag_a[a] + sag_b[b] + margin
+        out[k] = (
+            box_a[a, 0] <= box_b[b, 3] + pad and box_b[b, 0] <= box_a[a, 3] + pad
+            and box_a[a, 1] <= box_b[b, 4] + pad and box_b[b, 1] <= box_a[a, 4] + pad
+            and box_a[a, 2] <= box_b[b, 5] + pad and box_b[b, 2] <= box_a[a, 5] + pad
+        )  # fmt: skip
+    return out
+
+
+@njit
 def planes(points: Array, triangles: Index) -> Array:
     """Per triangle (t, 4): its normal e1 x e2, and the squared length of its longer edge times PLANE_ROUNDING."""
     out = np.empty((len(triangles), 4))
@@ -66,15 +81,14 @@ def parted(points_p: Array, tri_p: Index, plane: Array, p: int, points_q: Array,
 
 @njit
 def crossing_triangles(
-    points_a: Array, inside_a: Mask, tri_a: Index, first_a: Index,
-    points_b: Array, inside_b: Mask, tri_b: Index, first_b: Index, pairs: Index,
+    points_a: Array, inside_a: Mask, tri_a: Index, first_a: Index, box_a: Array,
+    points_b: Array, inside_b: Mask, tri_b: Index, first_b: Index, box_b: Array, pairs: Index,
 ) -> tuple[Index, Array, int]:  # fmt: skip
     """The triangles that meet, over the pairs (k, 2) of cells: (n, 3) triangle of a, of b, relation; segments
     (n, 6); and the number of pairs of triangles tested.
 
     Triangles without a vertex on the trimmed face are left out.
     """
-    box_a, box_b = cell_boxes(points_a, tri_a, first_a), cell_boxes(points_b, tri_b, first_b)
     plane_a, plane_b = planes(points_a, tri_a), planes(points_b, tri_b)
     found = np.empty((64, 3), np.int64)
     segments = np.empty((64, 6))

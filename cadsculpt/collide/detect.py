@@ -83,6 +83,4 @@ def detect(
             crossings += crossed
     # parts come in the order of tools and faces, each in that of (u, v): one alone needs no sorting
     joined = contacts[0] if len(contacts) == 1 else Contacts.joined(contacts)
-    return Detection(
-        joined, Counters(*(int(c) for c in cache.counters)), Crossings.joined(crossings)
-    )
+    return Detection(joined, Counters(*(int(c) for c in cache.counters)), Crossings.joined(crossings))

@@ -55,7 +55,7 @@ def _field_cells(run: Run, g: Patch, work: Workspace, tool: DistanceField) -> In
 
         def meets(facets: Array) -> Mask:
             centre = facets.mean(axis=1)
-            return tool.distance(centre) <= np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1)
+            return np.asarray(tool.distance(centre) <= np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1))
 
         centre = 0.5 * (work.extent[0] + work.extent[1])
         within = bool(tool.distance(centre[None])[0] <= 0.5 * np.linalg.norm(work.extent[1] - work.extent[0]))

@@ -27,7 +27,7 @@ class PatchGrid:
     strides : the levels of detail, coarse to fine, ending in 1; the rows of a level are every stride-th row inside each knot
     span and all breakpoints. inside : (m, n), whether a grid vertex lies on the trimmed face, or None when all do.
     row_u (levels, m), child_u (levels, m) : per level (0: the spans) its rows, and for each cell the first of its children
-    on the next level; likewise v. count (levels, 2), offset (levels + 1,) : cells along u and v, and where each level starts
+    on the next level; likewise v. tally (levels, 2), offset (levels + 1,) : cells along u and v, and where each level starts
     in arrays over all cells. covers : whether a cell holds a vertex of the face. spans (k, 3) : the cells of level 0 that do.
     """
 
@@ -39,7 +39,7 @@ class PatchGrid:
     row_v: Index
     child_u: Index
     child_v: Index
-    count: Index
+    tally: Index
     offset: Index
     covers: Mask
     spans: Index
@@ -77,13 +77,13 @@ class PatchGrid:
         most = max(int(np.diff(start).max()) for start in starts)
         strides = tuple(2**k for k in range(max(0, (most - 1).bit_length() - 1), -1, -1))
         tables = [_levels(start, strides) for start in starts]
-        count = np.stack([tables[0][2], tables[1][2]], axis=1)
-        offset = np.concatenate([[0], np.cumsum(count.prod(axis=1))])
+        tally = np.stack([tables[0][2], tables[1][2]], axis=1)
+        offset = np.concatenate([[0], np.cumsum(tally.prod(axis=1))])
         covers = np.ones(offset[-1], dtype=np.bool_)
         if inside is not None:
             before = np.zeros((inside.shape[0] + 1, inside.shape[1] + 1), dtype=np.int64)
             before[1:, 1:] = inside.cumsum(axis=0).cumsum(axis=1)
-            for level, (cells_u, cells_v) in enumerate(count):
+            for level, (cells_u, cells_v) in enumerate(tally):
                 a, b = tables[0][0][level, : cells_u + 1], tables[1][0][level, : cells_v + 1]
                 held = before[a[1:] + 1] - before[a[:-1]]
                 held = held[:, b[1:] + 1] - held[:, b[:-1]]
@@ -97,11 +97,15 @@ class PatchGrid:
             row_v=tables[1][0],
             child_u=tables[0][1],
             child_v=tables[1][1],
-            count=count,
+            tally=tally,
             offset=offset,
             covers=covers,
-            spans=np.array([(0, k // count[0, 1], k % count[0, 1]) for k in np.flatnonzero(covers[: offset[1]])], np.int64),
-            on_face=np.ones(matrices.shape[0] * matrices.shape[1], dtype=np.bool_) if inside is None else inside.ravel(),
+            spans=np.array(
+                [(0, k // tally[0, 1], k % tally[0, 1]) for k in np.flatnonzero(covers[: offset[1]])], np.int64
+            ),
+            on_face=np.ones(matrices.shape[0] * matrices.shape[1], dtype=np.bool_)
+            if inside is None
+            else inside.ravel(),
             span_u=_span_of_row(starts[0]),
             span_v=_span_of_row(starts[1]),
             knots_u=np.array(surface.knots_u),

@@ -263,15 +263,15 @@ def paper_window(surface: BSplineSurface, patch: Patch, facet_meets: Callable[[A
     net = patch.net[..., :3] / patch.net[..., 3:]
     hull = convex_hull(net.reshape(-1, 3))
     meets = facet_meets(net.reshape(-1, 3)[hull.facets])
-    spans = np.zeros((patch.count[0, 0], patch.count[0, 1]), dtype=np.bool_)
+    spans = np.zeros((patch.tally[0, 0], patch.tally[0, 1]), dtype=np.bool_)
     if not meets.any():
         spans[:] = within
         return spans.ravel()
     i, j = np.unravel_index(np.unique(hull.facets[meets]), net.shape[:2])
     limits = []
     for knots, degree, at, t, rows, count in (
-        (surface.knots_u, surface.degree_u, i, patch.u, patch.row_u, patch.count[0, 0]),
-        (surface.knots_v, surface.degree_v, j, patch.v, patch.row_v, patch.count[0, 1]),
+        (surface.knots_u, surface.degree_u, i, patch.u, patch.row_u, patch.tally[0, 0]),
+        (surface.knots_v, surface.degree_v, j, patch.v, patch.row_v, patch.tally[0, 1]),
     ):
         parameter = greville(knots, degree)[at]
         border = t[rows[0, : count + 1]]

@@ -38,7 +38,7 @@ def window_cells(work: Workspace, window: Mask | None = None) -> tuple[Index, Ar
     (n, 3) and radii (n,)."""
     g, cells = work.patch, work.grid.spans
     if window is not None:
-        cells = cells[window[cells[:, 1] * g.count[0, 1] + cells[:, 2]]]
+        cells = cells[window[cells[:, 1] * g.tally[0, 1] + cells[:, 2]]]
     g.counters[1] += len(cells)
     centre, radius = make_spheres(g, cells, len(cells))
     return cells, centre, radius
@@ -64,7 +64,7 @@ def refine(work: Workspace, cells: Index, distance: Array, margin: float) -> tup
 def split_near(g: Tree, cells: Index, distance: Array, margin: float, paper: bool) -> tuple[Index, bool]:
     """The children of the cells whose spheres come near, or, where the loop ends, these cells."""
     level, last = cells[0, 0], len(g.offset) - 2
-    offset, across, spheres, covers = g.offset[level], g.count[level, 1], g.spheres, g.covers
+    offset, across, spheres, covers = g.offset[level], g.tally[level, 1], g.spheres, g.covers
     row_u, row_v, child_u, child_v = g.row_u, g.row_v, g.child_u, g.child_v
     near = np.empty((len(cells), 3), np.int64)
     kept, most, children = 0, 0, 1
@@ -87,7 +87,7 @@ def split_near(g: Tree, cells: Index, distance: Array, margin: float, paper: boo
         return near[:kept], True
     out = np.empty((children * kept, 3), np.int64)
     count = 0
-    offset, across = g.offset[level + 1], g.count[level + 1, 1]
+    offset, across = g.offset[level + 1], g.tally[level + 1, 1]
     for t in range(kept):
         for ku in range(child_u[level, near[t, 1]], child_u[level, near[t, 1] + 1]):
             for kv in range(child_v[level, near[t, 2]], child_v[level, near[t, 2] + 1]):
@@ -100,9 +100,7 @@ def split_near(g: Tree, cells: Index, distance: Array, margin: float, paper: boo
 def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
     """Flat names of all finest vertices on the face that the cells hold and that do not carry `mark` in g.visit yet; they get
     it, and their points are made."""
-    names = unmarked(
-        g.row_u, g.row_v, g.visit, g.inside, len(g.u), len(g.v), g.wrap_u, g.wrap_v, g.poles, cells, mark
-    )
+    names = unmarked(g.row_u, g.row_v, g.visit, g.inside, len(g.u), len(g.v), g.wrap_u, g.wrap_v, g.poles, cells, mark)
     make_points(g, names, len(names))
     return names
 
@@ -141,8 +139,8 @@ def traverse(
     a, b, g, h = mine.tree, other.tree, mine.patch, other.patch
     mark_a, mark_b = mine.new_mark(), other.new_mark()
     pairs = np.zeros((len(spans), 6), dtype=np.int64)
-    pairs[:, 1], pairs[:, 2] = np.divmod(spans[:, 0], a.count[0, 1])
-    pairs[:, 4], pairs[:, 5] = np.divmod(spans[:, 1], b.count[0, 1])
+    pairs[:, 1], pairs[:, 2] = np.divmod(spans[:, 0], a.tally[0, 1])
+    pairs[:, 4], pairs[:, 5] = np.divmod(spans[:, 1], b.tally[0, 1])
     done = [pairs[:0]]
     while len(pairs):
         g.counters[8] += 1
@@ -170,7 +168,7 @@ def plan(
 
     A cell is split unless nothing is left to refine in it; of two unequal ones (certified mode), the larger first.
     """
-    off_a, tally_a, ball_a, off_b, tally_b, ball_b = a.offset, a.count, a.spheres, b.offset, b.count, b.spheres
+    off_a, tally_a, ball_a, off_b, tally_b, ball_b = a.offset, a.tally, a.spheres, b.offset, b.tally, b.spheres
     split = np.empty((len(pairs), 2), np.bool_)
     for t in range(len(pairs)):
         at = off_a[pairs[t, 0]] + pairs[t, 1] * tally_a[pairs[t, 0], 1] + pairs[t, 2]
@@ -185,7 +183,7 @@ def plan(
 @njit
 def children(g: Tree, pairs: Index, o: int, split: Mask, mark: int) -> Index:
     """The children (k, 3) of one body's cells that are to be split, each once; they carry `mark`, and slot 0."""
-    offset, tally, child_u, child_v = g.offset, g.count, g.child_u, g.child_v
+    offset, tally, child_u, child_v = g.offset, g.tally, g.child_u, g.child_v
     marks, slot, covers = g.mark, g.slot, g.covers
     fresh = np.empty((256, 3), np.int64)
     count = 0
@@ -215,10 +213,10 @@ def meet(a: Tree, b: Tree, pairs: Index, split: Mask, margin: float) -> tuple[In
     """The pairs of children (or of cells not split) whose spheres intersect, and the pairs with nothing left to split; how
     many of the children have met another sphere, and how many tests that took."""
     off_a, tally_a, child_ua, child_va, covers_a, ball_a, slot_a = (
-        a.offset, a.count, a.child_u, a.child_v, a.covers, a.spheres, a.slot,
+        a.offset, a.tally, a.child_u, a.child_v, a.covers, a.spheres, a.slot,
     )  # fmt: skip
     off_b, tally_b, child_ub, child_vb, covers_b, ball_b, slot_b = (
-        b.offset, b.count, b.child_u, b.child_v, b.covers, b.spheres, b.slot,
+        b.offset, b.tally, b.child_u, b.child_v, b.covers, b.spheres, b.slot,
     )  # fmt: skip
     done = np.empty((len(pairs), 6), np.int64)
     survivors = np.empty((256, 6), np.int64)
@@ -270,7 +268,7 @@ def meet(a: Tree, b: Tree, pairs: Index, split: Mask, margin: float) -> tuple[In
 @njit
 def distinct(g: Tree, pairs: Index, o: int, mark: int) -> tuple[Index, Index]:
     """The distinct cells (k, 3) of one body in the order they come in pairs, and the place (n,) of each pair's among them."""
-    offset, tally, marks, slot = g.offset, g.count, g.mark, g.slot
+    offset, tally, marks, slot = g.offset, g.tally, g.mark, g.slot
     cells, place = np.empty((len(pairs), 3), np.int64), np.empty(len(pairs), np.int64)
     total = 0
     for t in range(len(pairs)):

@@ -17,8 +17,9 @@ open border that the connecting line does not meet orthogonally."""
 DISTANCE, POINT, NORMAL, U, V = 0, 1, 4, 7, 8
 """Places in a result (9,); POINT and NORMAL (S_u x S_v, unit) are three each."""
 
-ROUGH = 0.01
-"""Angle between connecting line and normal at which a point that is clearly outside is told apart well enough."""
+ROUGH = 0.1
+"""Angle between connecting line and normal at which a point that is clearly outside is told apart well enough; its distance is
+then given as the normal's part of the connecting line, which is less than one percent short."""
 
 TAYLOR = 1e-6
 """A last step below this part of a knot span is not evaluated again: what it leaves out is its cube."""
@@ -65,9 +66,13 @@ def newton(
         if (held_u or off_u <= tolerance) and (held_v or off_v <= tolerance):
             converged = True
             break
-        if f > beyond * beyond and off_u * off_u + off_v * off_v < ROUGH * ROUGH * f:
+        # (near a pole one tangent is rounding, and so would be the side)
+        length_u, length_v = uu * (u1 - u0) ** 2, vv * (v1 - v0) ** 2
+        regular = length_u > 1e-8 * length_v and length_v > 1e-8 * length_u
+        if regular and f > beyond * beyond and off_u * off_u + off_v * off_v < ROUGH * ROUGH * f:
             nx, ny, nz = cross(h)
             if (rx * nx + ry * ny + rz * nz) * beyond < 0.0:
+                f -= off_u * off_u + off_v * off_v
                 converged = True
                 break
         a = uu + rx * h[3, 0] + ry * h[3, 1] + rz * h[3, 2]
@@ -94,7 +99,9 @@ def newton(
             # so near that the third derivatives do not matter: the surface there by Taylor's formula
             u, v, f = u + du, v + dv, 0.0
             for k in range(3):
-                h[0, k] += h[1, k] * du + h[2, k] * dv + 0.5 * (h[3, k] * du * du + h[5, k] * dv * dv) + h[4, k] * du * dv
+                h[0, k] += (
+                    h[1, k] * du + h[2, k] * dv + 0.5 * (h[3, k] * du * du + h[5, k] * dv * dv) + h[4, k] * du * dv
+                )
                 h[1, k] += h[3, k] * du + h[4, k] * dv
                 h[2, k] += h[4, k] * du + h[5, k] * dv
                 f += (h[0, k] - (x if k == 0 else (y if k == 1 else z))) ** 2

@@ -29,10 +29,10 @@ def point_contacts(run: Run, index: int, tool: PointTool) -> list[Contacts]:
     state, owner = np.zeros(1, np.int64), np.full(1, -1, dtype=np.int64)
     size = float(np.linalg.norm(run.extents[:, 1].max(axis=0) - run.extents[:, 0].min(axis=0))) if len(near) else 0.0
     group = np.array([0, 1])
-    for face in near:
-        _, g = run.model(int(face))
+    for face in near.tolist():
+        _, g = run.model(face)
         before = best.copy(), state.copy(), owner.copy()
-        project(g, position[None], group, EDGE * size, np.inf, int(face), best, state, owner)
+        project(g, position[None], group, EDGE * size, np.inf, face, best, state, owner)
         if owner[0] == face and not on_face(run.grids[face], best[:, [U, V]])[0]:
             best, state, owner = before  # trimmed away there
     if state[0] in (NOTHING, BORDER):

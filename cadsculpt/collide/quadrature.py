@@ -40,7 +40,7 @@ def quad_area(points: Array, p00: int, p10: int, p01: int, p11: int) -> float:
     ux, uy, uz = points[p11, 0] - points[p00, 0], points[p11, 1] - points[p00, 1], points[p11, 2] - points[p00, 2]
     vx, vy, vz = points[p01, 0] - points[p10, 0], points[p01, 1] - points[p10, 1], points[p01, 2] - points[p10, 2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return 0.5 * np.sqrt(x * x + y * y + z * z)
+    return float(0.5 * np.sqrt(x * x + y * y + z * z))
 
 
 @njit_inline
@@ -87,9 +87,7 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
                     continue
                 stamp[c * n + d] = tick
                 for corner in range(4):
-                    fresh[count, corner] = canonical(
-                        c + (corner & 1), d + (corner >> 1), m, n, wrap_u, wrap_v, poles
-                    )
+                    fresh[count, corner] = canonical(c + (corner & 1), d + (corner >> 1), m, n, wrap_u, wrap_v, poles)
                 fresh[count, 4] = c * n + d
                 count += 1
     make_points(g, fresh[:count, :4].copy().ravel(), 4 * count)
@@ -266,7 +264,19 @@ def subcells(g: Patch, cells: Index, place: Array) -> tuple[Array, Array, Array,
         du, dv = 0.5 * hu * place[t, 2], 0.5 * hv * place[t, 2]
         uv[t, 0], uv[t, 1] = g.u[i] + hu * place[t, 0] + du, g.v[j] + hv * place[t, 1] + dv
         approach(
-            g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, uv[t, 0], uv[t, 1], 0.0, 0.0, 0.0, h, scratch
+            g.net,
+            g.knots_u,
+            g.knots_v,
+            g.degree_u,
+            g.degree_v,
+            g.rational,
+            uv[t, 0],
+            uv[t, 1],
+            0.0,
+            0.0,
+            0.0,
+            h,
+            scratch,
         )
         plus, minus = 0.0, 0.0
         for c in range(3):

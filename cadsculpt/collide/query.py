@@ -113,7 +113,7 @@ class Counters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crossings:
-    """n pairs of triangles that meet, in a fixed order.
+    """n pairs of triangles that meet, by face, tool and patch of the tool, each in the order of the traversal.
 
     face (n,) : model patch. tool, tool_face (n,) : tool and its patch. model_triangle, tool_triangle (n, 3) : vertices of the
     finest grids, i n + j. relation (n,) : `tri_tri.Relation`. segment (n, 2, 3) : where they meet; NaN for coplanar ones.
@@ -132,14 +132,10 @@ class Crossings:
 
     @classmethod
     def joined(cls, parts: Sequence[Crossings]) -> Crossings:
-        """All crossings of several sets, sorted."""
+        """All crossings of several sets."""
         i, t = np.zeros(0, np.int64), np.zeros((0, 3), np.int64)
         parts = [part for part in parts if len(part)] or [cls(i, i, i, t, t, i, np.zeros((0, 2, 3)))]
-        columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)}
-        keys = [columns[name] for name in ("face", "tool", "tool_face")]
-        keys += [*columns["model_triangle"].T, *columns["tool_triangle"].T]
-        order = np.lexsort(keys[::-1])
-        return cls(**{name: np.ascontiguousarray(value[order]) for name, value in columns.items()})
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,7 +234,7 @@ def on_face(grid: PatchGrid, uv: Array) -> Mask:
     i = np.clip(np.searchsorted(grid.matrices.u, uv[:, 0], side="right") - 1, 0, grid.shape[0] - 2)
     j = np.clip(np.searchsorted(grid.matrices.v, uv[:, 1], side="right") - 1, 0, grid.shape[1] - 2)
     corners = np.stack([grid.inside[i + a, j + b] for a in (0, 1) for b in (0, 1)])
-    out = corners.all(axis=0)
+    out: Mask = np.logical_and.reduce(corners, axis=0)
     for k in np.flatnonzero(corners.any(axis=0) & ~out):
         out[k] = inside(grid.surface, uv[k, :1], uv[k, 1:])[0, 0]
     return out
@@ -249,4 +245,4 @@ def finest_size(run: Run, g: Patch) -> float:
     if run.options.tolerance > 0:
         return run.options.tolerance
     size = float(np.linalg.norm(g.box[:, 3:] - g.box[:, :3], axis=1).mean())
-    return max(1e-3 * size * (g.count[0, 0] / g.count[-1, 0]), 16.0 * g.slack)
+    return float(max(1e-3 * size * g.tally[0, 0] / g.tally[-1, 0], 16.0 * g.slack))

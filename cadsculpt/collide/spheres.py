@@ -31,7 +31,7 @@ COLLINEAR = 1e-6
 def distance2(points: Array, a: int, b: int) -> float:
     """Squared distance of two points."""
     x, y, z = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
-    return x * x + y * y + z * z
+    return float(x * x + y * y + z * z)
 
 
 @njit
@@ -57,7 +57,7 @@ def circle(points: Array, a: int, b: int, c: int, out: Array) -> bool:
 def away2(points: Array, a: int, centre: Array) -> float:
     """Squared distance of a point from a centre."""
     x, y, z = points[a, 0] - centre[0], points[a, 1] - centre[1], points[a, 2] - centre[2]
-    return x * x + y * y + z * z
+    return float(x * x + y * y + z * z)
 
 
 @njit
@@ -129,10 +129,11 @@ def make_spheres(g: Patch, cells: Index, count: int) -> tuple[Array, Array]:
 
     g.spheres: centre, radius, and in column 4 what refinement is worth: certified mode, the sag of the cell's two
     triangles; paper mode, 0 where the normals of the points that refinement would make agree within delta (4.5.1,
-    "comparing the normals of the points generated"), else infinite; -1 where nothing is left to refine.
+    "comparing the normals of the points generated"), else infinite; -1 where nothing is left to refine. Column 5 is that sag
+    (0 in paper mode).
     """
     tick, paper, slack, m, n = g.tick, g.paper, g.slack, len(g.u), len(g.v)
-    spheres, stamp, offset, tally, box = g.spheres, g.sphere_stamp, g.offset, g.count, g.box
+    spheres, stamp, offset, tally, box = g.spheres, g.sphere_stamp, g.offset, g.tally, g.box
     row_u, row_v, points, u, v = g.row_u, g.row_v, g.points, g.u, g.v
     bounds, bounds_stamp, span_u, span_v = g.bounds, g.bounds_stamp, g.span_u, g.span_v
     last = len(offset) - 2
@@ -168,7 +169,7 @@ def make_spheres(g: Patch, cells: Index, count: int) -> tuple[Array, Array]:
         level, ku, kv = cells[wanted[k], 0], cells[wanted[k], 1], cells[wanted[k], 2]
         at = offset[level] + ku * tally[level, 1] + kv
         sphere_of(points, names[4 * k], names[4 * k + 1], names[4 * k + 2], names[4 * k + 3], paper, ids, scratch)
-        radius, worth = scratch[3], 0.0
+        radius, worth, bulge = scratch[3], 0.0, 0.0
         i0, i1 = row_u[level, ku], row_u[level, ku + 1]
         j0, j1 = row_v[level, kv], row_v[level, kv + 1]
         finest = level == last or (i1 - i0 == 1 and j1 - j0 == 1)
@@ -182,7 +183,8 @@ def make_spheres(g: Patch, cells: Index, count: int) -> tuple[Array, Array]:
                 )  # fmt: skip
             hu, hv = u[i1] - u[i0], v[j1] - v[j0]
             sag = (hu * hu * bounds[a, b, S_UU] + hv * hv * bounds[a, b, S_VV]) / 8.0
-            worth = sag + hu * hv * bounds[a, b, S_UV] / 4.0
+            bulge = sag + hu * hv * bounds[a, b, S_UV] / 4.0
+            worth = bulge
             radius += sag + slack
         for c in range(3):
             spheres[at, c] = scratch[c]
@@ -190,6 +192,7 @@ def make_spheres(g: Patch, cells: Index, count: int) -> tuple[Array, Array]:
             worth = 0.0 if normals_agree(g, level, ku, kv) else np.inf
         spheres[at, 3] = radius
         spheres[at, 4] = -1.0 if finest else worth
+        spheres[at, 5] = bulge
     g.counters[3] += made
     centre, size = np.empty((count, 3)), np.empty(count)
     for t in range(count):

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from . import hull, levels, quadrature
 from .closest import project
 from .contacts import Contacts
-from .crossing import crossing_triangles
+from .crossing import cell_boxes, crossing_triangles, overlapping
+from .grid import PatchGrid
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V
 from .query import Crossings, Run, SurfaceTool, extents_of, finest_size, on_face
 from .triangulate import triangulate
@@ -54,12 +55,19 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
             mine, its, pairs = levels.traverse(work, other, spans, reach, tolerance)
             if not len(pairs):
                 continue
-            cells.append(mine)
-            crossings += _crossings(int(face), index, int(k), work, g, mine, other, h, its, pairs)
+            left, found = _crossings(run, (int(face), index, int(k)), work, other, mine, its, pairs, reach)
+            cells.append(left)
+            crossings += found
         if culled and (len(tool.nets) == 1 or _whole_hull_apart(run, int(face), index, g, tool)):
             continue
-        patches = [run.load((index, k), grid, net)[1] for k, (grid, net) in enumerate(zip(tool.grids, tool.nets, strict=True))]
-        contacts += _closest_contacts(run, index, int(face), tool, work, g, patches, cells, EDGE * size)
+        solid = _Solid(
+            tool.grids,
+            [run.load((index, k), tool.grids[k], tool.nets[k])[1] for k in range(len(tool.nets))],
+            extents,
+            EDGE * size,
+            run.options.margin,
+        )
+        contacts += _closest_contacts(run, index, int(face), solid, work, cells)
     return contacts, crossings
 
 
@@ -79,7 +87,11 @@ def _span_pairs(
             def meets(facets: Array, away: Array = away) -> Mask:
                 return np.array([not hull.apart(np.ascontiguousarray(f), away, np.zeros(3), 0.0) for f in facets])
 
-            windows.append(np.flatnonzero(hull.paper_window(own.grid.surface, patch, meets, True) & own.grid.covers[: len(patch.box)]))
+            windows.append(
+                np.flatnonzero(
+                    hull.paper_window(own.grid.surface, patch, meets, True) & own.grid.covers[: len(patch.box)]
+                )
+            )
         for own in (work, other):
             levels.window_cells(own)
         return np.stack(np.meshgrid(*windows, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -103,121 +115,155 @@ def _whole_hull_apart(run: Run, face: int, index: int, g: Patch, tool: SurfaceTo
 
 
 def _crossings(
-    face: int, index: int, k: int, work: Workspace, g: Patch, mine: Index, other: Workspace, h: Patch, its: Index, pairs: Index
-) -> list[Crossings]:
-    """Triangulation (4.6) and triangle tests (4.7) over the cells left."""
+    run: Run,
+    key: tuple[int, int, int],
+    work: Workspace,
+    other: Workspace,
+    mine: Index,
+    its: Index,
+    pairs: Index,
+    reach: float,
+) -> tuple[Index, list[Crossings]]:
+    """Triangulation (4.6) and triangle tests (4.7) over the pairs of cells left. Returns the model's cells whose box, and the
+    sag of the surface over it, comes within `reach` of the tool's, and the crossings."""
+    g, h = work.patch, other.patch
     tri_a, first_a = triangulate(g, mine, len(mine), work.new_mark())
     tri_b, first_b = triangulate(h, its, len(its), other.new_mark())
+    box_a, box_b = cell_boxes(g.points, tri_a, first_a), cell_boxes(h.points, tri_b, first_b)
+    near = overlapping(box_a, _sags(g, mine), box_b, _sags(h, its), pairs, reach)
+    pairs = pairs[near]
+    left = mine if run.paper else mine[np.unique(pairs[:, 0])]
     found, segments, tests = crossing_triangles(
-        g.points, g.inside, tri_a, first_a, h.points, h.inside, tri_b, first_b, pairs
+        g.points, g.inside, tri_a, first_a, box_a, h.points, h.inside, tri_b, first_b, box_b, pairs
     )
     g.counters[5:8] += np.array([len(tri_a) + len(tri_b), tests, len(found)])
     if not len(found):
-        return []
-    full = lambda value: np.full(len(found), value, dtype=np.int64)  # noqa: E731
-    return [
-        Crossings(
-            full(face), full(index), full(k), tri_a[found[:, 0]], tri_b[found[:, 1]], found[:, 2], segments.reshape(-1, 2, 3)
-        )
-    ]
+        return left, []
+    face, tool, patch = (np.full(len(found), value, dtype=np.int64) for value in key)
+    segments = segments.reshape(-1, 2, 3)
+    return left, [Crossings(face, tool, patch, tri_a[found[:, 0]], tri_b[found[:, 1]], found[:, 2], segments)]
+
+
+def _sags(g: Patch, cells: Index) -> Array:
+    """How far the surface may leave the triangles of each cell."""
+    at = g.offset[cells[:, 0]] + cells[:, 1] * g.tally[cells[:, 0], 1] + cells[:, 2]
+    return np.asarray(g.spheres[at, 5] + g.slack)
 
 
 def _closest_contacts(
-    run: Run, index: int, face: int, tool: SurfaceTool, work: Workspace, g: Patch, patches: list[Patch],
-    cells: list[Index], tie: float,
-) -> list[Contacts]:  # fmt: skip
+    run: Run, index: int, face: int, solid: _Solid, work: Workspace, cells: list[Index]
+) -> list[Contacts]:
     """Contacts at the model's finest vertices: their closest points on the tool's true surface, from the cells left outwards
     as long as there are contacts, so that the inside of a deep overlap is not lost."""
-    known = work.new_mark()
-    margin = run.options.margin
-    columns = len(g.v)
+    g, known, margin = work.patch, work.new_mark(), run.options.margin
     wave = np.concatenate([*(levels.vertices_of(g, part, known) for part in cells), np.zeros(0, np.int64)])
-    found: list[tuple[Index, _Nearest]] = []
-    tested: list[tuple[Index, Array]] = []
-    if not run.paper:
+    if not len(wave) and not run.paper:
         # where no sphere meets another, the patch may lie wholly inside the tool; any one vertex of it tells
-        inner = np.flatnonzero(g.inside)[:1]
-        if len(inner) and not len(wave):
-            wave = inner
-            g.visit[inner] = known
-            make_points(g, inner, 1)
+        wave = np.flatnonzero(g.inside)[:1]
+        g.visit[wave] = known
+        make_points(g, wave, len(wave))
+    waves: list[tuple[Index, _Nearest]] = []
     while len(wave):
-        names, group = quadrature.in_blocks(wave, columns)
-        nearest = _nearest(tool, patches, g.points[names], group, tie, 1.1 * margin + 1e-300)
+        names, group = quadrature.in_blocks(wave, len(g.v))
+        nearest = _nearest(solid, g.points[names], group, rough=True)
+        waves.append((names, nearest))
         hit = ~(nearest.depth < -margin)
-        tested.append((names, nearest.depth))
-        wave = wave[:0]
-        if hit.any():
-            found.append((names[hit], nearest.chosen(hit)))
-            wave = quadrature.spread(g, names[hit], known)
+        wave = quadrature.spread(g, names[hit], known) if hit.any() else wave[:0]
+    if not waves:
+        return []
+    names, nearest = np.concatenate([n for n, _ in waves]), _Nearest.joined([n for _, n in waves])
+    touching = np.flatnonzero(~(nearest.depth < -margin))
+    touching = touching[np.argsort(names[touching])]
     parts = []
-    if found:
-        names = np.concatenate([n for n, _ in found])
-        order = np.argsort(names)
-        nearest = _Nearest.joined([n for _, n in found]).chosen(order)
-        uv, points, area = quadrature.vertex_rows(g, names[order])
-        parts.append(run.rows(index, face, uv, points, -nearest.normal, nearest.depth, area, nearest.point))
+    if len(touching):
+        uv, points, area = quadrature.vertex_rows(g, names[touching])
+        touch = nearest.chosen(touching)
+        parts.append(run.rows(index, face, uv, points, -touch.normal, touch.depth, area, touch.point))
     if run.paper or not cells:
         return parts
-    names, depths = np.concatenate([n for n, _ in tested]), np.concatenate([d for _, d in tested])
-    left = quadrature.unresolved(g, np.concatenate(cells), margin, names, depths, work.new_mark())
+    left = quadrature.unresolved(g, np.concatenate(cells), margin, names, -nearest.gap, work.new_mark())
     if len(left):
 
         def distance(points: Array) -> Array:
-            return -_nearest(tool, patches, points, np.arange(len(points) + 1), tie).depth
+            return _nearest(solid, points, np.arange(len(points) + 1)).gap
 
         uv, points, area = quadrature.below_grid(g, left, distance, margin, finest_size(run, g))
         on = on_face(run.grids[face], uv)
         if on.any():
             uv, points, area = uv[on], points[on], area[on]
-            nearest = _nearest(tool, patches, points, np.arange(len(points) + 1), tie)
-            parts.append(run.rows(index, face, uv, points, -nearest.normal, nearest.depth, area, nearest.point))
+            touch = _nearest(solid, points, np.arange(len(points) + 1))
+            parts.append(run.rows(index, face, uv, points, -touch.normal, touch.depth, area, touch.point))
     return parts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solid:
+    """A surface tool as `_nearest` sees it: its patches, their boxes (k, 2, 3), how near two closest points are one (on a
+    common edge), and the margin within which distances matter."""
+
+    grids: tuple[PatchGrid, ...]
+    patches: list[Patch]
+    extents: Array
+    tie: float
+    margin: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Nearest:
     """Closest points of a tool to n points: depth (n,), positive inside, -inf where the tool is open there and says nothing;
-    unit outward normal (n, 3) and the point (n, 3)."""
+    gap (n,), the signed distance, and where it says nothing the distance, above the margin; unit outward normal (n, 3) and
+    the point (n, 3)."""
 
     depth: Array
+    gap: Array
     normal: Array
     point: Array
 
     def chosen(self, which: Mask | Index) -> _Nearest:
-        return _Nearest(self.depth[which], self.normal[which], self.point[which])
+        return _Nearest(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @classmethod
     def joined(cls, parts: list[_Nearest]) -> _Nearest:
-        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+        return (
+            parts[0]
+            if len(parts) == 1
+            else cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+        )
 
 
-def _nearest(
-    tool: SurfaceTool, patches: list[Patch], points: Array, group: Index, tie: float, beyond: float = np.inf
-) -> _Nearest:
+def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False) -> _Nearest:
     """The closest points of all patches of a tool, and on which side of it the points lie.
 
     At the common edge of two patches the sum of their normals tells the sides apart (Baerentzen and Aanaes 2005). A point
-    beyond an open border, or whose closest point has been trimmed away, is on no side.
+    beyond an open border, or whose closest point has been trimmed away, is on no side. rough : points outside by more than
+    the margin need no exact distance.
     """
     best = np.full((len(points), 9), np.inf)
     state, owner = np.zeros(len(points), np.int64), np.full(len(points), -1, dtype=np.int64)
-    for k, patch in enumerate(patches):
-        project(patch, points, group, tie, beyond, k, best, state, owner)
+    beyond = 1.1 * solid.margin + 1e-300 if rough else np.inf
+    order = np.zeros(1, np.int64)
+    if len(solid.patches) > 1:
+        # the nearest patches first: what they find spares the others the search
+        away = np.maximum(solid.extents[:, 0] - points.max(axis=0), points.min(axis=0) - solid.extents[:, 1])
+        order = np.argsort(np.maximum(away, 0.0).max(axis=1), kind="stable")
+    for k in order.tolist():
+        project(solid.patches[k], points, group, solid.tie, beyond, k, best, state, owner)
     arm = points - best[:, POINT : POINT + 3]
     total = best[:, NORMAL : NORMAL + 3]
-    length = np.linalg.norm(total, axis=1)
+    length = np.sqrt(np.einsum("ij,ij->i", total, total))
     distance = best[:, DISTANCE]
-    side = np.where((arm * total).sum(axis=1) > 0, 1.0, -1.0)
+    side = np.where(np.einsum("ij,ij->i", arm, total) > 0, 1.0, -1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         normal = total / length[:, None]
         # over an edge the normal is the way to it
-        over_edge = (np.abs(length - 1.0) > 1e-9) & (distance > 1e-6 * tie)
-        normal[over_edge] = (side[:, None] * arm / distance[:, None])[over_edge]
-    depth = np.where(state == PROPER, -side * distance, -np.inf)
-    for k, grid in enumerate(tool.grids):
+        over_edge = (np.abs(length - 1.0) > 1e-9) & (distance > 1e-6 * solid.tie)
+        if over_edge.any():
+            normal[over_edge] = side[over_edge, None] * arm[over_edge] / distance[over_edge, None]
+    sided = state == PROPER
+    for k, grid in enumerate(solid.grids):
         if grid.inside is not None:
-            mine = np.flatnonzero((owner == k) & (state == PROPER))
-            away = ~on_face(grid, best[mine][:, [U, V]])
-            depth[mine[away]] = -np.inf
-    return _Nearest(depth, normal, best[:, POINT : POINT + 3])
+            mine = np.flatnonzero((owner == k) & sided)
+            sided[mine[~on_face(grid, best[mine][:, [U, V]])]] = False
+    depth = np.where(sided, -side * distance, -np.inf)
+    gap = np.where(sided, side * distance, np.maximum(distance, (1 + 1e-9) * solid.margin + 1e-300))
+    return _Nearest(depth, gap, normal, best[:, POINT : POINT + 3])

@@ -29,8 +29,8 @@ def whole_mesh(grid: PatchGrid, net: Array, level: int = -1) -> tuple[Array, Ind
     """
     work = Workspace(grid, np.zeros(16, np.int64))
     g = work.load(net, paper=False, delta=0.0)
-    level %= len(grid.count)
-    cells = np.array([(level, a, b) for a in range(grid.count[level, 0]) for b in range(grid.count[level, 1])])
+    level %= len(grid.tally)
+    cells = np.array([(level, a, b) for a in range(grid.tally[level, 0]) for b in range(grid.tally[level, 1])])
     cells = cells[grid.covers[grid.offset[level] : grid.offset[level + 1]]].astype(np.int64).reshape(-1, 3)
     triangles, _ = triangulate(g, cells, len(cells), work.new_mark())
     points = g.points.copy()
@@ -60,7 +60,9 @@ def triangulate(g: Patch, cells: Index, count: int, mark: int) -> tuple[Index, I
         for c in range(4):
             names[5 * t + c] = canonical(i1 if c & 1 else i0, j1 if c & 2 else j0, m, n, wrap_u, wrap_v, poles)
             visit[names[5 * t + c]] = mark
-        names[5 * t + 4] = canonical((i0 + i1) // 2, (j0 + j1) // 2, m, n, wrap_u, wrap_v, poles) if mixed else names[5 * t]
+        names[5 * t + 4] = (
+            canonical((i0 + i1) // 2, (j0 + j1) // 2, m, n, wrap_u, wrap_v, poles) if mixed else names[5 * t]
+        )
     make_points(g, names, 5 * count)
     first = np.empty(count + 1, np.int64)
     triangles = np.empty((2 * count + 64, 3), np.int64)

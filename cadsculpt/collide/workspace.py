@@ -31,7 +31,7 @@ CLOSED = 1e-9
 class Tree(NamedTuple):
     """What kernels see of one patch's cells on all levels of detail; the fields are those of `Patch`."""
 
-    count: Index
+    tally: Index
     offset: Index
     row_u: Index
     row_v: Index
@@ -47,7 +47,7 @@ class Patch(NamedTuple):
     """What kernels see of one patch and its net.
 
     Cells: level 0 is the knot spans, level L > 0 the cells between the rows of stride strides[L - 1]. A cell is (L, ku, kv),
-    its place in arrays over all cells offset[L] + ku * count[L, 1] + kv. Vertices are flat: i * n + j.
+    its place in arrays over all cells offset[L] + ku * tally[L, 1] + kv. Vertices are flat: i * n + j.
     """
 
     net: Array
@@ -72,7 +72,7 @@ class Patch(NamedTuple):
     row_v: Index
     child_u: Index
     child_v: Index
-    count: Index
+    tally: Index
     offset: Index
     covers: Mask
     inside: Mask
@@ -111,11 +111,10 @@ class Workspace:
 
     def __post_init__(self) -> None:
         grid, (m, n), (r, s) = self.grid, self.grid.shape, self.grid.surface.shape
-        cells, spans = int(grid.offset[-1]), (int(grid.count[0, 0]), int(grid.count[0, 1]))
+        cells, spans = int(grid.offset[-1]), (int(grid.tally[0, 0]), int(grid.tally[0, 1]))
         surface, matrices = grid.surface, grid.matrices
-        zeros = lambda *shape: np.zeros(shape, dtype=np.int64)  # noqa: E731
         self.extent = np.full((2, 3), np.nan)
-        self._flags = zeros(3)
+        self._flags = _integers(3)
         self.patch = Patch(
             net=np.full((r, s, 4), np.nan),
             knots_u=grid.knots_u, knots_v=grid.knots_v, degree_u=surface.degree_u, degree_v=surface.degree_v,
@@ -123,12 +122,12 @@ class Workspace:
             u=matrices.u, v=matrices.v, first_u=matrices.first_u, first_v=matrices.first_v,
             rows_u=matrices.rows_u, rows_v=matrices.rows_v, span_u=grid.span_u, span_v=grid.span_v,
             row_u=grid.row_u, row_v=grid.row_v, child_u=grid.child_u, child_v=grid.child_v,
-            count=grid.count, offset=grid.offset, covers=grid.covers, inside=grid.on_face,
-            half=np.empty((m, s, 4)), half_stamp=zeros(m), points=np.empty((m * n, 3)), point_stamp=zeros(m * n),
-            spheres=np.empty((cells, 5)), sphere_stamp=zeros(cells), box=np.empty((spans[0] * spans[1], 6)),
-            bounds=np.empty((*spans, 5)), bounds_stamp=zeros(*spans),
-            mark=zeros(cells), slot=zeros(cells), visit=zeros(m * n), depth=np.empty(m * n),
-            cell_area=np.empty(m * n), area_stamp=zeros(m * n),
+            tally=grid.tally, offset=grid.offset, covers=grid.covers, inside=grid.on_face,
+            half=np.empty((m, s, 4)), half_stamp=_integers(m), points=np.empty((m * n, 3)), point_stamp=_integers(m * n),
+            spheres=np.empty((cells, 6)), sphere_stamp=_integers(cells), box=np.empty((spans[0] * spans[1], 6)),
+            bounds=np.empty((*spans, 5)), bounds_stamp=_integers(*spans),
+            mark=_integers(cells), slot=_integers(cells), visit=_integers(m * n), depth=np.empty(m * n),
+            cell_area=np.empty(m * n), area_stamp=_integers(m * n),
             tick=0, slack=0.0, paper=False, delta=0.0, counters=self.counters,
         )  # fmt: skip
 
@@ -145,7 +144,7 @@ class Workspace:
             net = net.copy()  # one type of array for the kernels
         changed = load(
             net, self.grid.weights, patch.net, patch.rows_u, patch.first_u, patch.rows_v, patch.first_v,
-            patch.row_u, patch.row_v, patch.count, patch.box, self.extent, self._flags,
+            patch.row_u, patch.row_v, patch.tally, patch.box, self.extent, self._flags,
         )  # fmt: skip
         if changed < 0:
             raise GeometryError("a control point is not finite", where=self.grid.surface.name or "surface")
@@ -161,12 +160,16 @@ class Workspace:
     def tree(self) -> Tree:
         """The cells of the loaded patch."""
         g = self.patch
-        return Tree(g.count, g.offset, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.mark, g.slot)
+        return Tree(g.tally, g.offset, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.mark, g.slot)
 
     def new_mark(self) -> int:
         """A number that no entry of `mark` and `visit` holds yet."""
         self._mark += 2
         return self._mark
+
+
+def _integers(*shape: int) -> Index:
+    return np.zeros(shape, dtype=np.int64)
 
 
 @njit
@@ -198,7 +201,7 @@ def extent_of(net: Array, out: Array) -> None:
 @njit
 def load(
     net: Array, weights: Array, target: Array, rows_u: Array, first_u: Index, rows_v: Array, first_v: Index,
-    row_u: Index, row_v: Index, count: Index, box: Array, extent: Array, flags: Index,
+    row_u: Index, row_v: Index, tally: Index, box: Array, extent: Array, flags: Index,
 ) -> int:  # fmt: skip
     """Take in a net: homogeneous points, box, span boxes, closed directions and poles. 0: unchanged; 1: new; -1: not finite.
 
@@ -225,7 +228,7 @@ def load(
             return -1
         size = max(size, extent[1, c] - extent[0, c])
     p, q = rows_u.shape[2], rows_v.shape[2]
-    spans_u, spans_v = count[0, 0], count[0, 1]
+    spans_u, spans_v = tally[0, 0], tally[0, 1]
     for a in range(spans_u):
         i0 = first_u[row_u[0, a]]
         for b in range(spans_v):

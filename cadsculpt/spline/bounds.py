@@ -176,7 +176,7 @@ def separable_bound(net: Array, knots_u: Array, knots_v: Array, p: int, q: int, 
                 d += x * x
             longest = max(longest, d)
     ratio = (high_u / low_u if order_u else 1.0) * (high_v / low_v if order_v else 1.0)
-    return ratio * ratio * np.sqrt(longest)
+    return float(ratio * ratio * np.sqrt(longest))
 
 
 @njit

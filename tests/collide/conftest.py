@@ -35,7 +35,11 @@ def plate(size=10.0, count=6, degree=3, height=None, z=0.0):
     at = size * np.array([knots[i + 1 : i + degree + 1].mean() for i in range(count)])
     x, y = np.meshgrid(at, at, indexing="ij")
     return BSplineSurface(
-        np.stack([x, y, np.full_like(x, z) if height is None else height(x, y) + z], axis=-1), knots, knots, degree, degree
+        np.stack([x, y, np.full_like(x, z) if height is None else height(x, y) + z], axis=-1),
+        knots,
+        knots,
+        degree,
+        degree,
     )
 
 
@@ -53,7 +57,9 @@ def cylinder(radius=5.0, height=10.0, closed_clamped=True):
         around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * radius
         w, knots_u, degree, periodic = None, np.arange(19, dtype=float), 3, True
     z = np.linspace(0, height, 4)
-    net = np.concatenate([np.repeat(around[:, None], 4, axis=1), np.tile(z[None, :, None], (len(around), 1, 1))], axis=2)
+    net = np.concatenate(
+        [np.repeat(around[:, None], 4, axis=1), np.tile(z[None, :, None], (len(around), 1, 1))], axis=2
+    )
     weights = None if w is None else np.repeat(w[:, None], 4, axis=1)
     return BSplineSurface(net, knots_u, _clamped(3, 4), degree, 3, weights, periodic_u=periodic)
 

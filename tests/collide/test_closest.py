@@ -108,10 +108,10 @@ def test_borders_are_told_from_faces(shapes):
     assert found.point == pytest.approx(np.clip(points, [0, 0, 0], [10, 10, 0]), abs=1e-9)
     assert list(found.proper) == [True, False, False, False, True, True]
     assert found.normal == pytest.approx(np.tile([0, 0, 1.0], (6, 1)))
-    inside_out = BSplineSurface(
-        surface.control_points, surface.knots_u, surface.knots_v, 3, 3, outward=False
+    inside_out = BSplineSurface(surface.control_points, surface.knots_u, surface.knots_v, 3, 3, outward=False)
+    assert closest_points(PatchGrid.of(inside_out, 9), surface.control_points, points).normal[0] == pytest.approx(
+        [0, 0, -1]
     )
-    assert closest_points(PatchGrid.of(inside_out, 9), surface.control_points, points).normal[0] == pytest.approx([0, 0, -1])
 
 
 def test_creases_do_not_stop_the_descent(shapes):
@@ -144,9 +144,7 @@ def test_derivatives_are_those_of_the_reference(shapes):
             for u, v in [(u0, v1), (u1, v0), *zip(rng.uniform(u0, u1, 5), rng.uniform(v0, v1, 5), strict=True)]:
                 h, scratch = np.empty((6, 4)), np.empty((9, 12))
                 knots = np.array(surface.knots_u), np.array(surface.knots_v)
-                f = approach(
-                    net, *knots, surface.degree_u, surface.degree_v, rational, u, v, 1.0, 2.0, 3.0, h, scratch
-                )
+                f = approach(net, *knots, surface.degree_u, surface.degree_v, rational, u, v, 1.0, 2.0, 3.0, h, scratch)
                 d = surface.derivatives(u, v, 2)
                 expected = [d[0, 0], d[1, 0], d[0, 1], d[2, 0], d[1, 1], d[0, 2]]
                 assert h[:, :3] == pytest.approx(np.array(expected), rel=1e-9, abs=1e-9)

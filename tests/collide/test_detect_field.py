@@ -134,7 +134,12 @@ def test_seams_and_poles_count_once(shapes, name):
         from cadsculpt.collide.triangulate import whole_mesh
 
         points, t = whole_mesh(grid, surface.control_points)
-        exact = 0.5 * np.linalg.norm(np.cross(points[t[:, 1]] - points[t[:, 0]], points[t[:, 2]] - points[t[:, 0]]), axis=1).sum()
+        exact = (
+            0.5
+            * np.linalg.norm(
+                np.cross(points[t[:, 1]] - points[t[:, 0]], points[t[:, 2]] - points[t[:, 0]]), axis=1
+            ).sum()
+        )
     assert contacts.area.sum() == pytest.approx(exact, rel=5e-3)
     distinct = {tuple(np.round(p, 9)) for p in contacts.point}
     assert len(distinct) == len(contacts)
@@ -241,7 +246,10 @@ def test_trimmed_away_material_does_not_touch(shapes):
     assert contacts.area.sum() == pytest.approx(np.pi * (16 - 4), rel=0.01)
     # a needle in the hole, and one on the ring, both below the grid
     coarse = PatchGrid.of(ring, 15)
-    hole, land = (_detect(coarse, shapes.Sphere([x, 5.03, 0.05], 0.1), DetectOptions(tolerance=1e-3)).contacts for x in (5.6, 8.05))
+    hole, land = (
+        _detect(coarse, shapes.Sphere([x, 5.03, 0.05], 0.1), DetectOptions(tolerance=1e-3)).contacts
+        for x in (5.6, 8.05)
+    )
     assert len(hole) == 0
     assert len(land) > 0
 
@@ -254,9 +262,7 @@ def test_two_runs_and_a_cache_give_the_same_bytes(shapes):
     for step in range(4):
         tool = shapes.Sphere([5.0 + 0.3 * step, 5.0, 1.5 - 0.2 * step], 2.0)
         net = surface.control_points + [0, 0, 0.05 * step]
-        runs = [
-            detect([grid], [net], [FieldTool(tool)], options, cache=c) for c in (cache, cache, DetectCache(), None)
-        ]
+        runs = [detect([grid], [net], [FieldTool(tool)], options, cache=c) for c in (cache, cache, DetectCache(), None)]
         assert len(runs[0].contacts) > 0
         assert len({_bytes(run.contacts) for run in runs}) == 1
         fresh = [run.counters for run in runs[2:]]

@@ -15,7 +15,9 @@ from cadsculpt.spline.surface import TrimCurve, TrimLoop
 
 def _touch(grids, position, options=None, **more):
     nets = [grid.surface.control_points for grid in grids]
-    return detect(grids, nets, [PointTool(np.array(position, dtype=float), 0.25, **more)], options or DetectOptions()).contacts
+    return detect(
+        grids, nets, [PointTool(np.array(position, dtype=float), 0.25, **more)], options or DetectOptions()
+    ).contacts
 
 
 def test_a_point_in_a_ball_is_as_deep_as_it_is_below_the_surface(shapes):
@@ -68,7 +70,8 @@ def test_a_hole_is_a_hole(shapes):
 
     def loop(points, outer):
         curves = tuple(
-            TrimCurve(np.array([a, b], dtype=float), line, 1) for a, b in zip(points, points[1:] + points[:1], strict=True)
+            TrimCurve(np.array([a, b], dtype=float), line, 1)
+            for a, b in zip(points, points[1:] + points[:1], strict=True)
         )
         return TrimLoop(curves, outer)
 

@@ -79,12 +79,16 @@ def test_a_cube_of_six_patches_is_one_solid(shapes, height):
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
     turn *= np.linalg.det(turn)
     for rotation in (np.eye(3), turn):
-        faces = [s.with_control_points((s.control_points - centre) @ rotation.T + centre) for s in shapes.box(4.0, centre)]
+        faces = [
+            s.with_control_points((s.control_points - centre) @ rotation.T + centre) for s in shapes.box(4.0, centre)
+        ]
         contacts = _detect(grid, _tool(faces, 9)).contacts
         points = grid.matrices.points(grid.surface.control_points).reshape(-1, 3)
         truth = -_box_distance((points - centre) @ rotation + centre, centre, half)
         assert len(contacts) == (truth >= 0).sum() > 0
-        assert contacts.depth == pytest.approx(-_box_distance((contacts.point - centre) @ rotation + centre, centre, half), abs=1e-9)
+        assert contacts.depth == pytest.approx(
+            -_box_distance((contacts.point - centre) @ rotation + centre, centre, half), abs=1e-9
+        )
 
 
 def test_a_model_wholly_inside_is_in_contact_everywhere(shapes):
@@ -183,7 +187,9 @@ def test_flat_cells_are_not_refined(shapes):
 
 def test_a_tool_smaller_than_a_cell_is_found(shapes):
     grid = PatchGrid.of(shapes.plate(10.0), 11)
-    contacts = _detect(grid, _tool([shapes.ball(0.1, [4.6, 5.45, 0.05])], (17, 9)), DetectOptions(tolerance=1e-3)).contacts
+    contacts = _detect(
+        grid, _tool([shapes.ball(0.1, [4.6, 5.45, 0.05])], (17, 9)), DetectOptions(tolerance=1e-3)
+    ).contacts
     assert contacts.area.sum() == pytest.approx(np.pi * (0.1**2 - 0.05**2), rel=0.25)
     assert contacts.depth.max() == pytest.approx(0.05, rel=0.05)
 
@@ -234,7 +240,10 @@ def test_two_runs_and_a_cache_give_the_same_bytes(shapes):
     cache = DetectCache()
     for step in range(3):
         net = grid.surface.control_points + [0, 0, 0.1 * step]
-        runs = [detect([grid], [net], [tool], DetectOptions(margin=0.1), cache=c) for c in (cache, cache, DetectCache(), None)]
+        runs = [
+            detect([grid], [net], [tool], DetectOptions(margin=0.1), cache=c)
+            for c in (cache, cache, DetectCache(), None)
+        ]
         assert len(runs[0].contacts) > 0
         assert len({_bytes(run.contacts) for run in runs}) == 1
         assert len({run.crossings.segment.tobytes() + run.crossings.model_triangle.tobytes() for run in runs}) == 1

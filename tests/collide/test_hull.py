@@ -120,7 +120,9 @@ def test_no_contact_lies_outside_the_window(shapes, seed):
             np.clip(np.searchsorted(s, t.ravel(), side="right") - 1, 0, len(s) - 2)
             for s, t in zip(starts, (u, v), strict=True)
         ]
-        samples.append((surface.with_control_points(net).evaluate(u, v).reshape(-1, 3), span[0] * (len(starts[1]) - 1) + span[1]))
+        samples.append(
+            (surface.with_control_points(net).evaluate(u, v).reshape(-1, 3), span[0] * (len(starts[1]) - 1) + span[1])
+        )
     from scipy.spatial import cKDTree
 
     (x, span_x), (y, span_y) = samples
@@ -142,7 +144,7 @@ def test_the_papers_window_is_a_rectangle_around_the_facets_that_meet(shapes):
     surface = shapes.plate(10.0, 8, 3, height=lambda x, y: 0.2 * (x - 5) ** 2)
     grid = PatchGrid.of(surface, 33)
     g = Workspace(grid, np.zeros(9, np.int64)).load(surface.control_points, paper=True, delta=0.01)
-    low = paper_window(surface, g, lambda facets: facets[:, :, 0].max(axis=1) < 3.0, False).reshape(g.count[0])
+    low = paper_window(surface, g, lambda facets: facets[:, :, 0].max(axis=1) < 3.0, False).reshape(g.tally[0])
     assert low.any()
     assert not low.all()
     rows, columns = np.flatnonzero(low.any(axis=1)), np.flatnonzero(low.any(axis=0))

@@ -17,7 +17,7 @@ def _load(grid, net, *, paper=False):
 
 def _cells(grid):
     return np.array(
-        [(level, a, b) for level, (m, n) in enumerate(grid.count) for a in range(m) for b in range(n)], dtype=np.int64
+        [(level, a, b) for level, (m, n) in enumerate(grid.tally) for a in range(m) for b in range(n)], dtype=np.int64
     )
 
 
@@ -38,8 +38,10 @@ def test_a_sphere_holds_all_of_its_cell(shapes, rational):
         u = [grid.matrices.u[grid.row_u[level, ku + k]] for k in (0, 1)]
         v = [grid.matrices.v[grid.row_v[level, kv + k]] for k in (0, 1)]
         s, t = rng.random((2, len(cells), 40))
-        points = surface.evaluate(u[0][:, None] + s * (u[1] - u[0])[:, None], v[0][:, None] + t * (v[1] - v[0])[:, None])
-        at = grid.offset[level] + ku * grid.count[level, 1] + kv
+        points = surface.evaluate(
+            u[0][:, None] + s * (u[1] - u[0])[:, None], v[0][:, None] + t * (v[1] - v[0])[:, None]
+        )
+        at = grid.offset[level] + ku * grid.tally[level, 1] + kv
         away = np.linalg.norm(points - g.spheres[at, None, :3], axis=2) - g.spheres[at, None, 3]
         assert away.max() <= 0.0
         tested += away.size
@@ -117,22 +119,25 @@ def test_levels_take_strided_rows_of_one_matrix_and_all_breakpoints(shapes):
     for level, stride in enumerate(grid.strides, start=1):
         assert grid.strides[level - 1 :][0] == stride
         for rows, count, start in (
-            (grid.row_u[level], grid.count[level, 0], grid.matrices.span_start_u),
-            (grid.row_v[level], grid.count[level, 1], grid.matrices.span_start_v),
+            (grid.row_u[level], grid.tally[level, 0], grid.matrices.span_start_u),
+            (grid.row_v[level], grid.tally[level, 1], grid.matrices.span_start_v),
         ):
             used = rows[: count + 1]
             assert set(start) <= set(used)
             for a, b in zip(start[:-1], start[1:], strict=True):
                 assert set(range(a, b, stride)) <= set(used)
             assert np.diff(used).max() <= stride
-    finest = grid.row_u[-1, : grid.count[-1, 0] + 1]
+    finest = grid.row_u[-1, : grid.tally[-1, 0] + 1]
     assert np.array_equal(finest, np.arange(grid.shape[0]))
 
 
 def test_children_tile_their_parents(shapes):
     grid = PatchGrid.of(shapes.random_surface(np.random.default_rng(8)), (40, 23))
-    for level in range(len(grid.count) - 1):
-        for row, child, count in ((grid.row_u, grid.child_u, grid.count[:, 0]), (grid.row_v, grid.child_v, grid.count[:, 1])):
+    for level in range(len(grid.tally) - 1):
+        for row, child, count in (
+            (grid.row_u, grid.child_u, grid.tally[:, 0]),
+            (grid.row_v, grid.child_v, grid.tally[:, 1]),
+        ):
             assert np.array_equal(row[level, : count[level] + 1], row[level + 1, child[level, : count[level] + 1]])
             assert child[level, count[level]] == count[level + 1]
 

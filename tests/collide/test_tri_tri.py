@@ -141,7 +141,16 @@ def _pairs(kind, count, rng):
             yield pair
 
 
-KINDS = ("lattice", "plane lattice", "random", "shared point", "shared edge", "vertex on face", "nearly coplanar", "no area")
+KINDS = (
+    "lattice",
+    "plane lattice",
+    "random",
+    "shared point",
+    "shared edge",
+    "vertex on face",
+    "nearly coplanar",
+    "no area",
+)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -25,8 +25,8 @@ def _edges(triangles):
 
 def _random_leaves(grid, rng, depth=0.6):
     """Cells of mixed levels that tile the patch: split at random."""
-    last = len(grid.count) - 1
-    leaves, todo = [], [(0, a, b) for a in range(grid.count[0, 0]) for b in range(grid.count[0, 1])]
+    last = len(grid.tally) - 1
+    leaves, todo = [], [(0, a, b) for a in range(grid.tally[0, 0]) for b in range(grid.tally[0, 1])]
     while todo:
         level, a, b = todo.pop()
         if level == last or (level > 0 and rng.random() > depth):
@@ -78,7 +78,7 @@ def test_cells_of_mixed_levels_meet_without_cracks(shapes, seed):
 def test_a_window_has_the_windows_border(shapes):
     surface = shapes.plate()
     grid = PatchGrid.of(surface, 25)
-    last = len(grid.count) - 1
+    last = len(grid.tally) - 1
     cells = np.array([(last, a, b) for a in range(5, 12) for b in range(3, 9)], dtype=np.int64)
     _, triangles, _ = _triangulated(grid, surface.control_points, cells)
     edges, _ = _edges(triangles)
@@ -122,7 +122,9 @@ def test_the_shorter_diagonal_is_the_locally_optimal_one(shapes):
         a, b = edge
         if len(others) == 2 and a // n != b // n and a % n != b % n:
             checked += 1
-            assert np.linalg.norm(points[a] - points[b]) <= np.linalg.norm(points[others[0]] - points[others[1]]) + 1e-12
+            assert (
+                np.linalg.norm(points[a] - points[b]) <= np.linalg.norm(points[others[0]] - points[others[1]]) + 1e-12
+            )
     assert checked == (grid.shape[0] - 1) * (grid.shape[1] - 1)
 
 
