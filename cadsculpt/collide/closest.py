@@ -1,10 +1,10 @@
 """Closest points on the true surface: candidates by the spheres, then Newton in (u, v).
 
-`closest_points` is for anyone; `project` is the kernel. Points come in groups of neighbours: the cells that can hold the
-closest point of any of a group are found once, by descending the levels of detail and dropping every cell whose sphere is
-farther than the group's nearest one allows. Each point then starts Newton from its neighbour's closest point, and again
-from the nearest of those cells when that is not where Newton came out: another sheet of the surface may be nearer. On a closed direction the parameters wrap; elsewhere they stop at the
-border.
+`closest_points` is for anyone; `project` is the kernel. Points come in groups of neighbours: the cells that can hold
+the closest point of any of a group are found once, by descending the levels of detail and dropping every cell whose
+sphere is farther than the group's nearest one allows. Each point then starts Newton from its neighbour's closest
+point, and again from the nearest of those cells when that is not where Newton came out: another sheet of the surface
+may be nearer. On a closed direction the parameters wrap; elsewhere they stop at the border.
 """
 
 from __future__ import annotations
@@ -30,14 +30,15 @@ NEAR_ENOUGH = 0.1
 """A cell this small against its distance, or smaller than the group, is not refined: it is start enough for Newton."""
 
 SHEET = 1.5
-"""A cell's middle is no farther than the closest point that it holds by more than its radius, at right angles: cells beyond
-(with this margin for their bulge) hold nothing nearer than what is found."""
+"""A cell's middle is no farther than the closest point that it holds by more than its radius, at right angles: cells
+beyond (with this margin for their bulge) hold nothing nearer than what is found."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Closest:
-    """The closest points (n, 3) of a patch to n points, with (u, v) (n,), the distance (n,), and the unit normal (n, 3) out of
-    the material there. proper (n,) : False where the closest point lies on an open border, seen at an oblique angle."""
+    """The closest points (n, 3) of a patch to n points, with (u, v) (n,), the distance (n,), and the unit normal (n,
+    3) out of the material there. proper (n,) : False where the closest point lies on an open border, seen at an
+    oblique angle."""
 
     u: Array
     v: Array
@@ -81,10 +82,10 @@ def project(
 ) -> None:
     """Closest points of one patch to points (n, 3), where they are nearer than what `best` (n, 9) holds already.
 
-    group (k + 1,) : points group[i] to group[i + 1] are neighbours. beyond : points outside and farther than this (infinite:
-    none) get their distance to ROUGH squared only. owner (n,) becomes `patch` where it wins. A point as
-    near (to `tie`) as the one of a patch before, and in the same place, is on their common edge: the normals are added (the
-    pseudo-normal of that edge) and the state becomes PROPER, for the edge is no border then.
+    group (k + 1,) : points group[i] to group[i + 1] are neighbours. beyond : points outside and farther than this
+    (infinite: none) get their distance to ROUGH squared only. owner (n,) becomes `patch` where it wins. A point as
+    near (to `tie`) as the one of a patch before, and in the same place, is on their common edge: the normals are added
+    (the pseudo-normal of that edge) and the state becomes PROPER, for the edge is no border then.
     """
     tick, last = g.tick, len(g.offset) - 2
     spheres, stamp, offset, tally, covers = g.spheres, g.sphere_stamp, g.offset, g.tally, g.covers
@@ -225,7 +226,8 @@ def project(
 
 @njit
 def along(h: Array, x: float, y: float, z: float) -> tuple[float, float]:
-    """(du, dv) of the step along the tangents h[1], h[2] that comes nearest to (x, y, z); nothing where they are dependent."""
+    """(du, dv) of the step along the tangents h[1], h[2] that comes nearest to (x, y, z); nothing where they are
+    dependent."""
     uu = h[1, 0] * h[1, 0] + h[1, 1] * h[1, 1] + h[1, 2] * h[1, 2]
     uv = h[1, 0] * h[2, 0] + h[1, 1] * h[2, 1] + h[1, 2] * h[2, 2]
     vv = h[2, 0] * h[2, 0] + h[2, 1] * h[2, 1] + h[2, 2] * h[2, 2]

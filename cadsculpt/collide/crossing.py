@@ -1,7 +1,7 @@
 """Which triangles of two surfaces meet (paper section 4.7): only those of cells whose spheres intersect are tested.
 
-Before a pair of triangles comes to the exact test, the boxes of their cells, and then the plane of either, part nearly all
-pairs that do not meet; both do so with a margin for rounding, so that they never overrule the exact test.
+Before a pair of triangles comes to the exact test, the boxes of their cells, and then the plane of either, part nearly
+all pairs that do not meet; both do so with a margin for rounding, so that they never overrule the exact test.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ def cell_boxes(points: Array, triangles: Index, first: Index) -> Array:
 
 @njit
 def overlapping(box_a: Array, sag_a: Array, box_b: Array, sag_b: Array, pairs: Index, margin: float) -> Mask:
-    """Which pairs (k, 2) of cells can come within `margin`: their triangles' boxes (n, 6), grown by the sags (n,), do."""
+    """Which pairs (k, 2) of cells can come within `margin`: their triangles' boxes (n, 6), grown by the sags (n,),
+    do."""
     out = np.empty(len(pairs), np.bool_)
     for k in range(len(pairs)):
         a, b = pairs[k, 0], pairs[k, 1]

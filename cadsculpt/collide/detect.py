@@ -65,8 +65,8 @@ def detect(
 ) -> Detection:
     """Contacts of one body's patches, over control points nets[i] (r, s, 3), with tools.
 
-    In the result a is `body`, b the tool's place in `tools`, face the patch's in `grids`. Raises GeometryError for control
-    points, InputError for a tool, that are not finite.
+    In the result a is `body`, b the tool's place in `tools`, face the patch's in `grids`. Raises GeometryError for
+    control points, InputError for a tool, that are not finite.
     """
     cache = DetectCache() if cache is None else cache
     cache.counters[:] = 0

@@ -1,4 +1,5 @@
-"""What a patch's grid of points and its levels of detail need, made once: nothing here depends on the control points."""
+"""What a patch's grid of points and its levels of detail need, made once: nothing here depends on the control
+points."""
 
 from __future__ import annotations
 
@@ -23,12 +24,13 @@ DENSER = 2
 class PatchGrid:
     """Everything about one patch that does not depend on the control points.
 
-    surface : degrees, knots, weights, trims, outward; its control points are the rest net. matrices : the finest resolution.
-    strides : the levels of detail, coarse to fine, ending in 1; the rows of a level are every stride-th row inside each knot
-    span and all breakpoints. inside : (m, n), whether a grid vertex lies on the trimmed face, or None when all do.
-    row_u (levels, m), child_u (levels, m) : per level (0: the spans) its rows, and for each cell the first of its children
-    on the next level; likewise v. tally (levels, 2), offset (levels + 1,) : cells along u and v, and where each level starts
-    in arrays over all cells. covers : whether a cell holds a vertex of the face. spans (k, 3) : the cells of level 0 that do.
+    surface : degrees, knots, weights, trims, outward; its control points are the rest net. matrices : the finest
+    resolution. strides : the levels of detail, coarse to fine, ending in 1; the rows of a level are every stride-th
+    row inside each knot span and all breakpoints. inside : (m, n), whether a grid vertex lies on the trimmed face, or
+    None when all do. row_u (levels, m), child_u (levels, m) : per level (0: the spans) its rows, and for each cell the
+    first of its children on the next level; likewise v. tally (levels, 2), offset (levels + 1,) : cells along u and v,
+    and where each level starts in arrays over all cells. covers : whether a cell holds a vertex of the face. spans (k,
+    3) : the cells of level 0 that do.
     """
 
     surface: BSplineSurface
@@ -52,7 +54,8 @@ class PatchGrid:
 
     @classmethod
     def of(cls, surface: BSplineSurface, resolution: int | tuple[int, int]) -> PatchGrid:
-        """The grid with about `resolution` rows and columns (or (rows, columns)) over the face, at least one cell per span.
+        """The grid with about `resolution` rows and columns (or (rows, columns)) over the face, at least one cell per
+        span.
 
         Raises GeometryError when the trimmed face is so small that no vertex lies on it, or the resolution is below 2.
         """
@@ -75,6 +78,7 @@ class PatchGrid:
     def _with(cls, surface: BSplineSurface, matrices: TransformationMatrices, inside: Mask | None) -> PatchGrid:
         starts = (matrices.span_start_u, matrices.span_start_v)
         most = max(int(np.diff(start).max()) for start in starts)
+        # the coarsest level cuts the largest spans in two; the spans themselves are the level above it
         strides = tuple(2**k for k in range(max(0, (most - 1).bit_length() - 1), -1, -1))
         tables = [_levels(start, strides) for start in starts]
         tally = np.stack([tables[0][2], tables[1][2]], axis=1)
@@ -120,7 +124,8 @@ class PatchGrid:
 
 
 def _cells(surface: BSplineSurface, axis: int, total: int) -> Index:
-    """Cells in each knot span: about `total` over the spans that the face reaches, by their length; one in each other."""
+    """Cells in each knot span: about `total` over the spans that the face reaches, by their length; one in each
+    other."""
     knots, degree = ((surface.knots_u, surface.degree_u), (surface.knots_v, surface.degree_v))[axis]
     length = span_lengths(surface, axis)
     share = np.ones(len(length))
@@ -149,7 +154,8 @@ def _inside(surface: BSplineSurface, matrices: TransformationMatrices) -> Mask |
 
 
 def _levels(start: Index, strides: tuple[int, ...]) -> tuple[Index, Index, Index]:
-    """Rows (levels, m), first child (levels, m) and number of cells (levels,) of the levels over spans start[i]..start[i+1]."""
+    """Rows (levels, m), first child (levels, m) and number of cells (levels,) of the levels over spans
+    start[i]..start[i+1]."""
     m = int(start[-1]) + 1
     rows = [start]
     for stride in strides:

@@ -1,13 +1,14 @@
 """Bounding Volume (paper section 4.3): convex hulls of control points; and the window in (u, v) that they leave (4.4).
 
-A surface with positive weights lies in the hull of its control points, and over one knot span in the hull of that span's
-own (k+1)(l+1) control points. Whether two hulls are apart needs no facets: the farthest control points along a direction
-are the hull's, so `apart` (GJK) works on the nets as they are, after every change, flat and collinear nets included. It
-answers "apart" only with a direction in hand whose gap exceeds the rounding, so a doubt costs time and never a contact.
+A surface with positive weights lies in the hull of its control points, and over one knot span in the hull of that
+span's own (k+1)(l+1) control points. Whether two hulls are apart needs no facets: the farthest control points along a
+direction are the hull's, so `apart` (GJK) works on the nets as they are, after every change, flat and collinear nets
+included. It answers "apart" only with a direction in hand whose gap exceeds the rounding, so a doubt costs time and
+never a contact.
 
-The paper takes the parameters of the hull's vertices (control points) where the hulls' facets meet as the window's limits,
-and misses contacts there. The certified window is every knot span whose own control points' box meets the other body's.
-`paper_window` is the paper's.
+The paper takes the parameters of the hull's vertices (control points) where the hulls' facets meet as the window's
+limits, and misses contacts there. The certified window is every knot span whose own control points' box meets the
+other body's. `paper_window` is the paper's.
 """
 
 from __future__ import annotations
@@ -241,24 +242,25 @@ def whole(box: Array) -> tuple[Array, Array]:
 @njit
 def near(box: Array, k: int, low: Array, high: Array, margin: float) -> bool:
     """Box k comes within `margin` of the box from low to high, along each axis."""
+    meets = True
     for c in range(3):
-        if box[k, c] > high[c] + margin or box[k, 3 + c] < low[c] - margin:
-            return False
-    return True
+        meets = meets and box[k, c] <= high[c] + margin and box[k, 3 + c] >= low[c] - margin
+    return meets
 
 
 def greville(knots: Array, degree: int) -> Array:
-    """The parameter associated with each control point: the mean of its inner knots (Piegl and Tiller, section 9.2.1)."""
+    """The parameter associated with each control point: the mean of its inner knots (Piegl and Tiller, section
+    9.2.1)."""
     count = len(knots) - degree - 1
     return np.array([knots[i + 1 : i + degree + 1].mean() for i in range(count)])
 
 
 def paper_window(surface: BSplineSurface, patch: Patch, facet_meets: Callable[[Array], Mask], within: bool) -> Mask:
-    """The paper's window (4.4), one flag per knot span: from u_min to u_max, v_min to v_max of the control points of facets
-    that meet the other body.
+    """The paper's window (4.4), one flag per knot span: from u_min to u_max, v_min to v_max of the control points of
+    facets that meet the other body.
 
-    facet_meets : tells for facets (f, 3, 3) which ones meet it. within : the other body lies inside the hull and meets no
-    facet, or the hull lies inside the other body; the whole surface is the window then.
+    facet_meets : tells for facets (f, 3, 3) which ones meet it. within : the other body lies inside the hull and meets
+    no facet, or the hull lies inside the other body; the whole surface is the window then.
     """
     net = patch.net[..., :3] / patch.net[..., 3:]
     hull = convex_hull(net.reshape(-1, 3))

@@ -1,12 +1,12 @@
 """The loop of paper section 4.5: spheres that intersect are refined, the others discarded, level by level.
 
-`refine` takes one step of it for a patch alone (against an implicit tool, 4.9.1); `traverse` takes all steps for two patches.
-The loop ends where all rows and columns are used, where a cell is flat (4.5.1: in paper mode its normals agree within delta;
-in certified mode its triangles lie within the tolerance of the surface), and early where all spheres of a level intersect
-(4.5.1). Taken literally, that last rule stops at the first level of any pair that begins with one sphere each, however
-coarse; so in certified mode it only ends the loop where nothing is given up by it: against an implicit tool, whose contacts
-are found on the finest vertices in any case, as soon as these cost less than more levels; between two patches, where every
-cell is flat.
+`refine` takes one step of it for a patch alone (against an implicit tool, 4.9.1); `traverse` takes all steps for two
+patches. The loop ends where all rows and columns are used, where a cell is flat (4.5.1: in paper mode its normals
+agree within delta; in certified mode its triangles lie within the tolerance of the surface), and early where all
+spheres of a level intersect (4.5.1). Taken literally, that last rule stops at the first level of any pair that begins
+with one sphere each, however coarse; so in certified mode it only ends the loop where nothing is given up by it:
+against an implicit tool, whose contacts are found on the finest vertices in any case, as soon as these cost less than
+more levels; between two patches, where every cell is flat.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 LAST_ROWS = 4
-"""Against an implicit tool, cells of up to this many rows and columns give up their vertices at once: a vertex costs a third of
-a sphere, so that finer spheres would cost more than they save."""
+"""Against an implicit tool, cells of up to this many rows and columns give up their vertices at once: a vertex costs a
+third of a sphere, so that finer spheres would cost more than they save."""
 
 ALL_MET_ROWS = 16
 """The same where all spheres of a level intersect the tool: finer ones could discard little."""
@@ -34,8 +34,8 @@ SIZES = 2.0
 
 
 def window_cells(work: Workspace, window: Mask | None = None) -> tuple[Index, Array, Array]:
-    """Level 0: the cells (n, 3) of the knot spans that the face reaches (and a window (spans,) takes), their spheres' centres
-    (n, 3) and radii (n,)."""
+    """Level 0: the cells (n, 3) of the knot spans that the face reaches (and a window (spans,) takes), their spheres'
+    centres (n, 3) and radii (n,)."""
     g, cells = work.patch, work.grid.spans
     if window is not None:
         cells = cells[window[cells[:, 1] * g.tally[0, 1] + cells[:, 2]]]
@@ -45,11 +45,12 @@ def window_cells(work: Workspace, window: Mask | None = None) -> tuple[Index, Ar
 
 
 def refine(work: Workspace, cells: Index, distance: Array, margin: float) -> tuple[Index, Array, bool]:
-    """One level (4.5): cells (n, 3) of one level whose spheres come within `margin` of the tool, split; the others discarded.
+    """One level (4.5): cells (n, 3) of one level whose spheres come within `margin` of the tool, split; the others
+    discarded.
 
-    distance (n,) : signed distance of each sphere's centre from the tool; what is deep inside is kept as well, and so is a
-    NaN. Returns the children with their spheres' centres, and False; or, when the loop ends here, the cells kept themselves,
-    and True.
+    distance (n,) : signed distance of each sphere's centre from the tool; what is deep inside is kept as well, and so
+    is a NaN. Returns the children with their spheres' centres, and False; or, when the loop ends here, the cells kept
+    themselves, and True.
     """
     g = work.patch
     g.counters[8] += 1
@@ -98,8 +99,8 @@ def split_near(g: Tree, cells: Index, distance: Array, margin: float, paper: boo
 
 
 def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
-    """Flat names of all finest vertices on the face that the cells hold and that do not carry `mark` in g.visit yet; they get
-    it, and their points are made."""
+    """Flat names of all finest vertices on the face that the cells hold and that do not carry `mark` in g.visit yet;
+    they get it, and their points are made."""
     names = unmarked(g.row_u, g.row_v, g.visit, g.inside, len(g.u), len(g.v), g.wrap_u, g.wrap_v, g.poles, cells, mark)
     make_points(g, names, len(names))
     return names
@@ -131,29 +132,33 @@ def unmarked(
 def traverse(
     mine: Workspace, other: Workspace, spans: Index, margin: float, tolerance: float
 ) -> tuple[Index, Index, Index]:
-    """The loop of 4.5 over two patches a and b, from pairs of spans (n, 2) to pairs of cells with nothing left to refine.
+    """The loop of 4.5 over two patches a and b, from pairs of spans (n, 2) to pairs of cells with nothing left to
+    refine.
 
-    Only children of intersecting spheres are tested against each other. Returns the cells of a (na, 3), of b (nb, 3) and the
-    pairs (k, 2) of their places in these whose spheres come within `margin` of each other.
+    Only children of intersecting spheres are tested against each other. Returns the cells of a (na, 3), of b (nb, 3)
+    and the pairs (k, 2) of their places in these whose spheres come within `margin` of each other.
     """
     a, b, g, h = mine.tree, other.tree, mine.patch, other.patch
     mark_a, mark_b = mine.new_mark(), other.new_mark()
     pairs = np.zeros((len(spans), 6), dtype=np.int64)
     pairs[:, 1], pairs[:, 2] = np.divmod(spans[:, 0], a.tally[0, 1])
     pairs[:, 4], pairs[:, 5] = np.divmod(spans[:, 1], b.tally[0, 1])
+    split = np.ones((len(pairs), 2), dtype=np.bool_)
+    fresh_a, fresh_b = children(a, pairs, 0, split, mark_a), children(b, pairs, 3, split, mark_b)
     done = [pairs[:0]]
     while len(pairs):
         g.counters[8] += 1
-        split, fresh_a, fresh_b = plan(a, b, pairs, tolerance, g.paper, mark_a, mark_b)
         make_spheres(g, fresh_a, len(fresh_a))
         make_spheres(h, fresh_b, len(fresh_b))
+        generated = len(fresh_a) + len(fresh_b)
         pairs, finished, met, tests = meet(a, b, pairs, split, margin)
         g.counters[4] += tests
         done.append(finished)
         # 4.5.1: all spheres generated at this level, on both bodies, intersect
-        if g.paper and met == len(fresh_a) + len(fresh_b):
+        if g.paper and met == generated:
             done.append(pairs)
             break
+        split, fresh_a, fresh_b = plan(a, b, pairs, tolerance, g.paper, mark_a, mark_b)
     pairs = np.concatenate(done)
     cells_a, place_a = distinct(a, pairs, 0, mark_a + 1)
     cells_b, place_b = distinct(b, pairs, 3, mark_b + 1)
@@ -164,7 +169,8 @@ def traverse(
 def plan(
     a: Tree, b: Tree, pairs: Index, tolerance: float, paper: bool, mark_a: int, mark_b: int
 ) -> tuple[Mask, Index, Index]:
-    """Which cells of pairs (n, 6) (level, ku, kv of either) to split, (n, 2), and the children of either body's, each once.
+    """Which cells of pairs (n, 6) (level, ku, kv of either) to split, (n, 2), and the children of either body's, each
+    once.
 
     A cell is split unless nothing is left to refine in it; of two unequal ones (certified mode), the larger first.
     """
@@ -210,8 +216,8 @@ def children(g: Tree, pairs: Index, o: int, split: Mask, mark: int) -> Index:
 
 @njit
 def meet(a: Tree, b: Tree, pairs: Index, split: Mask, margin: float) -> tuple[Index, Index, int, int]:
-    """The pairs of children (or of cells not split) whose spheres intersect, and the pairs with nothing left to split; how
-    many of the children have met another sphere, and how many tests that took."""
+    """The pairs of children (or of cells not split) whose spheres intersect, and the pairs with nothing left to split;
+    how many of the children have met another sphere, and how many tests that took."""
     off_a, tally_a, child_ua, child_va, covers_a, ball_a, slot_a = (
         a.offset, a.tally, a.child_u, a.child_v, a.covers, a.spheres, a.slot,
     )  # fmt: skip
@@ -267,7 +273,8 @@ def meet(a: Tree, b: Tree, pairs: Index, split: Mask, margin: float) -> tuple[In
 
 @njit
 def distinct(g: Tree, pairs: Index, o: int, mark: int) -> tuple[Index, Index]:
-    """The distinct cells (k, 3) of one body in the order they come in pairs, and the place (n,) of each pair's among them."""
+    """The distinct cells (k, 3) of one body in the order they come in pairs, and the place (n,) of each pair's among
+    them."""
     offset, tally, marks, slot = g.offset, g.tally, g.mark, g.slot
     cells, place = np.empty((len(pairs), 3), np.int64), np.empty(len(pairs), np.int64)
     total = 0

@@ -11,15 +11,15 @@ from ..spline.basis import find_span
 Array = NDArray[np.float64]
 
 PROPER, BORDER = 1, 2
-"""What `newton` found: a point where the surface is orthogonal to the connecting line (or a crease, or a pole); a point on an
-open border that the connecting line does not meet orthogonally."""
+"""What `newton` found: a point where the surface is orthogonal to the connecting line (or a crease, or a pole); a
+point on an open border that the connecting line does not meet orthogonally."""
 
 DISTANCE, POINT, NORMAL, U, V = 0, 1, 4, 7, 8
 """Places in a result (9,); POINT and NORMAL (S_u x S_v, unit) are three each."""
 
 ROUGH = 0.1
-"""Angle between connecting line and normal at which a point that is clearly outside is told apart well enough; its distance is
-then given as the normal's part of the connecting line, which is less than one percent short."""
+"""Angle between connecting line and normal at which a point that is clearly outside is told apart well enough; its
+distance is then given as the normal's part of the connecting line, which is less than one percent short."""
 
 TAYLOR = 1e-6
 """A last step below this part of a knot span is not evaluated again: what it leaves out is its cube."""
@@ -33,12 +33,13 @@ def newton(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, wrap_u: bool, wrap_v: bool, poles: int,
     slack: float, beyond: float, x: float, y: float, z: float, found: Array, h: Array, scratch: Array,
 ) -> int:  # fmt: skip
-    """The local closest point to (x, y, z) from the start (u, v) in found[U], found[V]; fills `found`, returns its kind.
+    """The local closest point to (x, y, z) from the start (u, v) in found[U], found[V]; fills `found`, returns its
+    kind.
 
     Positive or negative `beyond`: points farther than this on the side of +- S_u x S_v need no exact answer.
 
-    Newton on |S - x|^2 / 2 with the full Hessian where it is positive, else Gauss and Newton's, halved until the distance
-    falls; parameters on a border that the gradient pushes outwards are held there.
+    Newton on |S - x|^2 / 2 with the full Hessian where it is positive, else Gauss and Newton's, halved until the
+    distance falls; parameters on a border that the gradient pushes outwards are held there.
     """
     u0, u1 = knots_u[p], knots_u[len(knots_u) - p - 1]
     v0, v1 = knots_v[q], knots_v[len(knots_v) - q - 1]
@@ -176,7 +177,8 @@ def compass(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, wrap_u: bool, wrap_v: bool,
     tolerance: float, u: float, v: float, x: float, y: float, z: float, h: Array, scratch: Array,
 ) -> tuple[float, float]:  # fmt: skip
-    """Downhill by trial steps in eight directions, halved when none helps: where a crease denies Newton its derivatives."""
+    """Downhill by trial steps in eight directions, halved when none helps: where a crease denies Newton its
+    derivatives."""
     u0, u1 = knots_u[p], knots_u[len(knots_u) - p - 1]
     v0, v1 = knots_v[q], knots_v[len(knots_v) - q - 1]
     f = approach(net, knots_u, knots_v, p, q, rational, u, v, x, y, z, h, scratch)

@@ -1,4 +1,5 @@
-"""Point-based Tool (paper section 4.9.2): the model's cells nearest to the point, and there its closest point on the surface."""
+"""Point-based Tool (paper section 4.9.2): the model's cells nearest to the point, and there its closest point on the
+surface."""
 
 from __future__ import annotations
 

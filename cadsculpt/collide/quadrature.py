@@ -1,9 +1,9 @@
 """Contact points as a quadrature over the model's surface: what makes forces independent of the resolution.
 
-The points are the vertices of the finest grid, whatever the levels of detail did before. Each stands for a quarter of its
-cells' areas (for smooth surfaces |S_u x S_v| times the trapezoid weight to second order; right at creases too). A seam's
-vertices count once, a pole's once with all the cells that end there. Where a tool is so small that it reaches the surface
-between the vertices, the cells there are cut further until its print is resolved.
+The points are the vertices of the finest grid, whatever the levels of detail did before. Each stands for a quarter of
+its cells' areas (for smooth surfaces |S_u x S_v| times the trapezoid weight to second order; right at creases too). A
+seam's vertices count once, a pole's once with all the cells that end there. Where a tool is so small that it reaches
+the surface between the vertices, the cells there are cut further until its print is resolved.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ BLOCK = 4
 """Vertices of one block (this many rows and columns) look for their closest points together."""
 
 ENOUGH_POINTS = 24
-"""A print that is below the grid is resolved when this many sub-cells lie in it: its area is then right to some ten percent."""
+"""A print that is below the grid is resolved when this many sub-cells lie in it: its area is then right to some ten
+percent."""
 
 MOST_SUBCELLS = 65536
-"""Cells below the grid are cut no further than this many at a time: a fifth of a second, for bounds as loose as none of a real
-part's."""
+"""Cells below the grid are cut no further than this many at a time: a fifth of a second, for bounds as loose as none
+of a real part's."""
 
 
 @njit_inline
@@ -45,8 +46,8 @@ def quad_area(points: Array, p00: int, p10: int, p01: int, p11: int) -> float:
 
 @njit_inline
 def ring_of(k: int, m: int, n: int, poles: int) -> tuple[int, int, int, int, float]:
-    """The finest cells (i from, to, j from, to; ends included, not yet brought into the grid) around the vertex k, and its
-    share of each: a quarter, or a half at a pole, which is two corners of its cells."""
+    """The finest cells (i from, to, j from, to; ends included, not yet brought into the grid) around the vertex k, and
+    its share of each: a quarter, or a half at a pole, which is two corners of its cells."""
     i, j = k // n, k % n
     low_i, high_i, low_j, high_j, share = i - 1, i, j - 1, j, 0.25
     if (poles & 1 and i == 0) or (poles & 2 and i == m - 1):
@@ -112,8 +113,8 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
 
 
 def spread(g: Patch, names: Index, mark: int) -> Index:
-    """The vertices on the face, a block of neighbours at a time, around `names` that do not carry `mark` in g.visit yet; they
-    get it, and their points are made."""
+    """The vertices on the face, a block of neighbours at a time, around `names` that do not carry `mark` in g.visit
+    yet; they get it, and their points are made."""
     fresh = beside(g.visit, g.inside, len(g.u), len(g.v), g.wrap_u, g.wrap_v, g.poles, names, mark)
     make_points(g, fresh, len(fresh))
     return fresh
@@ -127,7 +128,7 @@ def beside(
     out = np.empty((256, 1), np.int64)
     found = 0
     for t in range(len(names)):
-        low_i, high_i, low_j, high_j, share = ring_of(names[t], m, n, poles)
+        low_i, high_i, low_j, high_j, _ = ring_of(names[t], m, n, poles)
         for a in range(low_i, high_i + 1):
             c = in_grid(a, m - 1, wrap_u)
             for b in range(low_j, high_j + 1):
@@ -162,11 +163,12 @@ def in_blocks(names: Index, columns: int) -> tuple[Index, Index]:
 
 @njit
 def unresolved(g: Patch, cells: Index, margin: float, names: Index, depths: Array, mark: int) -> Index:
-    """The finest cells (i, j) of `cells` (level, ku, kv) that the tool may reach between their vertices, without a contact in
-    any cell connected to them by such cells.
+    """The finest cells (i, j) of `cells` (level, ku, kv) that the tool may reach between their vertices, without a
+    contact in any cell connected to them by such cells.
 
-    names, depths (n,) : vertices of known depth, -inf where the tool is on no side. A cell is out of reach when one of its vertices is farther
-    from the tool than from any point of the cell (its longest chord and its sag). mark : a number new to g.visit.
+    names, depths (n,) : vertices of known depth, -inf where the tool is on no side. A cell is out of reach when one of
+    its vertices is farther from the tool than from any point of the cell (its longest chord and its sag). mark : a
+    number new to g.visit.
     """
     m, n, tick = len(g.u), len(g.v), g.tick
     wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
@@ -242,10 +244,11 @@ def unresolved(g: Patch, cells: Index, margin: float, names: Index, depths: Arra
 
 @njit
 def subcells(g: Patch, cells: Index, place: Array) -> tuple[Array, Array, Array, Array]:
-    """Parts of the finest cells (i, j) of `cells` (n, 2): place (n, 3) is the part's corner and size in the cell, 0 to 1.
+    """Parts of the finest cells (i, j) of `cells` (n, 2): place (n, 3) is the part's corner and size in the cell, 0 to
+    1.
 
-    Returns the middle's parameters (n, 2) and points (n, 3), a radius (n,) around it that holds the part, and areas (n,).
-    The radius is the tangents' reach and Taylor's remainder with the span's bounds on the second derivatives.
+    Returns the middle's parameters (n, 2) and points (n, 3), a radius (n,) around it that holds the part, and areas
+    (n,). The radius is the tangents' reach and Taylor's remainder with the span's bounds on the second derivatives.
     """
     scratch = np.empty((9, max(g.degree_u, g.degree_v) + 4))
     h = np.empty((6, 4))
@@ -296,9 +299,9 @@ def below_grid(
 ) -> tuple[Array, Array, Array]:
     """Contacts of a tool that reaches the surface between the vertices of the finest cells (i, j) of `cells` (n, 2).
 
-    The cells are cut in four, and those whose sphere stays away from the tool dropped, until ENOUGH_POINTS middles lie in
-    the tool (distance <= margin), or what is left is smaller than `tolerance`: a print no deeper than that is not found.
-    Returns parameters (k, 2), points (k, 3) and areas (k,).
+    The cells are cut in four, and those whose sphere stays away from the tool dropped, until ENOUGH_POINTS middles lie
+    in the tool (distance <= margin), or what is left is smaller than `tolerance`: a print no deeper than that is not
+    found. Returns parameters (k, 2), points (k, 3) and areas (k,).
     """
     place = np.tile([0.0, 0.0, 1.0], (len(cells), 1))
     corner = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])

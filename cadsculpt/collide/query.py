@@ -49,8 +49,9 @@ class FieldTool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointTool:
-    """A point at position (3,). area : the piece of surface that its contact stands for. reach : how far behind the nearest
-    face the point may lie and still be in contact with it; give the thickness of a sheet, leave it for a solid."""
+    """A point at position (3,). area : the piece of surface that its contact stands for. reach : how far behind the
+    nearest face the point may lie and still be in contact with it; give the thickness of a sheet, leave it for a
+    solid."""
 
     position: Array
     area: float
@@ -61,8 +62,8 @@ class PointTool:
 class SurfaceTool:
     """B-spline patches with their control points (r, s, 3) in the world; each patch's `outward` is out of the tool.
 
-    reach : how deep behind an open tool (a sheet, a cap) a model is still in contact where the two do not cross, as when
-    flat is pressed on flat. What crosses the tool, or lies inside a closed one, is found at any depth.
+    reach : how deep behind an open tool (a sheet, a cap) a model is still in contact where the two do not cross, as
+    when flat is pressed on flat. What crosses the tool, or lies inside a closed one, is found at any depth.
     """
 
     grids: tuple[PatchGrid, ...]
@@ -72,9 +73,10 @@ class SurfaceTool:
 
 @dataclass(frozen=True, slots=True)
 class DetectOptions:
-    """mode : see the module. tolerance : cells whose triangles lie within it of the surface are not refined (certified), and
-    prints of tools below it are not looked for, in the scene's unit. delta : angle between normals below which the paper mode
-    does not refine, in radians. margin : contacts with depth >= -margin are reported, so that what comes near can be watched.
+    """mode : see the module. tolerance : cells whose triangles lie within it of the surface are not refined
+    (certified), and prints of tools below it are not looked for, in the scene's unit. delta : angle between normals
+    below which the paper mode does not refine, in radians. margin : contacts with depth >= -margin are reported, so
+    that what comes near can be watched.
     """
 
     mode: Mode = "certified"
@@ -115,8 +117,9 @@ class Counters:
 class Crossings:
     """n pairs of triangles that meet, by face, tool and patch of the tool, each in the order of the traversal.
 
-    face (n,) : model patch. tool, tool_face (n,) : tool and its patch. model_triangle, tool_triangle (n, 3) : vertices of the
-    finest grids, i n + j. relation (n,) : `tri_tri.Relation`. segment (n, 2, 3) : where they meet; NaN for coplanar ones.
+    face (n,) : model patch. tool, tool_face (n,) : tool and its patch. model_triangle, tool_triangle (n, 3) : vertices
+    of the finest grids, i n + j. relation (n,) : `tri_tri.Relation`. segment (n, 2, 3) : where they meet; NaN for
+    coplanar ones.
     """
 
     face: Index
@@ -149,7 +152,8 @@ class Detection:
 
 @dataclass(slots=True, eq=False)
 class DetectCache:
-    """What one body's detections reuse from call to call: workspaces, and the last separating axes. Not for two threads.
+    """What one body's detections reuse from call to call: workspaces, and the last separating axes. Not for two
+    threads.
 
     It changes how long a detection takes and what it counts, never its contacts.
     """
@@ -226,7 +230,8 @@ def extents_of(nets: Sequence[Array], whose: str) -> Array:
 
 
 def on_face(grid: PatchGrid, uv: Array) -> Mask:
-    """Which of the points uv (n, 2) lie on the trimmed face: by the grid inside whole cells, by the trim curves elsewhere."""
+    """Which of the points uv (n, 2) lie on the trimmed face: by the grid inside whole cells, by the trim curves
+    elsewhere."""
     if grid.inside is None:
         return np.ones(len(uv), dtype=np.bool_)
     from ..spline.trim import inside

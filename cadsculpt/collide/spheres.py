@@ -1,11 +1,11 @@
 """Generation of Lower Levels of Detail (paper section 4.5) and Interaction of Flat Surfaces (4.5.1).
 
-A sphere stands for a cell between four neighbouring points. The paper draws it through the two ends of the longer diagonal
-and one of the other two points; `sphere_of` does so and mends two faults of it. Where the diagonal's own sphere already
-holds the other two points, that smaller one is taken, and where the points are nearly collinear or no such circle holds the
-fourth point, the smallest sphere of the four. And in certified mode the radius grows by the sag of the surface over the
-cell (`spline.bounds`), so that the sphere holds all of the surface between the points, not the points alone. Level 0 of a
-patch is its knot spans, each with a sphere around the box of its own control points.
+A sphere stands for a cell between four neighbouring points. The paper draws it through the two ends of the longer
+diagonal and one of the other two points; `sphere_of` does so and mends two faults of it. Where the diagonal's own
+sphere already holds the other two points, that smaller one is taken, and where the points are nearly collinear or no
+such circle holds the fourth point, the smallest sphere of the four. And in certified mode the radius grows by the sag
+of the surface over the cell (`spline.bounds`), so that the sphere holds all of the surface between the points, not the
+points alone. Level 0 of a patch is its knot spans, each with a sphere around the box of its own control points.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 CONTAINS = 1.0 + 1e-9
-"""A sphere holds a point that lies this close to it, relative to its radius: the four corners of a square are on a circle."""
+"""A sphere holds a point that lies this close to it, relative to its radius: the four corners of a square are on a
+circle."""
 
 COLLINEAR = 1e-6
-"""Sine squared of the angle under which three points count as collinear: their circle would be a thousand times the cell."""
+"""Sine squared of the angle under which three points count as collinear: their circle would be a thousand times the
+cell."""
 
 
 @njit_inline
@@ -62,7 +64,8 @@ def away2(points: Array, a: int, centre: Array) -> float:
 
 @njit
 def smallest_sphere(points: Array, ids: Index, out: Array, trial: Array) -> None:
-    """The smallest sphere that holds four points: of two, three or four of them. Centre and squared radius into out (4,)."""
+    """The smallest sphere that holds four points: of two, three or four of them. Centre and squared radius into out
+    (4,)."""
     best = np.inf
     for i in range(4):
         for j in range(i + 1, 4):
@@ -108,7 +111,8 @@ def paper_sphere(points: Array, ids: Index, held: bool, out: Array, trial: Array
 
 @njit
 def sphere_of(points: Array, p00: int, p10: int, p01: int, p11: int, paper: bool, ids: Index, out: Array) -> None:
-    """The sphere of four neighbouring points: centre into out[0:3], radius into out[3]. ids (4,), out[4:8] : scratch."""
+    """The sphere of four neighbouring points: centre into out[0:3], radius into out[3]. ids (4,), out[4:8] :
+    scratch."""
     first, second = distance2(points, p00, p11), distance2(points, p10, p01)
     ids[0], ids[1], ids[2], ids[3] = (p00, p11, p10, p01) if first >= second else (p10, p01, p00, p11)
     for k in range(3):
@@ -129,8 +133,8 @@ def make_spheres(g: Patch, cells: Index, count: int) -> tuple[Array, Array]:
 
     g.spheres: centre, radius, and in column 4 what refinement is worth: certified mode, the sag of the cell's two
     triangles; paper mode, 0 where the normals of the points that refinement would make agree within delta (4.5.1,
-    "comparing the normals of the points generated"), else infinite; -1 where nothing is left to refine. Column 5 is that sag
-    (0 in paper mode).
+    "comparing the normals of the points generated"), else infinite; -1 where nothing is left to refine. Column 5 is
+    that sag (0 in paper mode).
     """
     tick, paper, slack, m, n = g.tick, g.paper, g.slack, len(g.u), len(g.v)
     spheres, stamp, offset, tally, box = g.spheres, g.sphere_stamp, g.offset, g.tally, g.box
@@ -205,7 +209,8 @@ def make_spheres(g: Patch, cells: Index, count: int) -> tuple[Array, Array]:
 
 @njit
 def normals_agree(g: Patch, level: int, ku: int, kv: int) -> bool:
-    """The normals at the points that the next level would make, and at the corners, agree within delta (paper 4.5.1)."""
+    """The normals at the points that the next level would make, and at the corners, agree within delta (paper
+    4.5.1)."""
     finer = min(level + 1, len(g.offset) - 2)
     k0, k1, l0, l1 = ku, ku + 1, kv, kv + 1
     if finer > level:
@@ -236,7 +241,8 @@ def normals_agree(g: Patch, level: int, ku: int, kv: int) -> bool:
 def grid_tangents(
     net: Array, rows_u: Array, rows_v: Array, first_u: Index, first_v: Index, i: int, j: int, t: Array
 ) -> None:
-    """w S, and up to the factor 1 / w the tangents S_u, S_v at a grid vertex by the tangent matrices (4.2), into t (3, 4)."""
+    """w S, and up to the factor 1 / w the tangents S_u, S_v at a grid vertex by the tangent matrices (4.2), into t (3,
+    4)."""
     for k in range(3):
         for c in range(4):
             t[k, c] = 0.0

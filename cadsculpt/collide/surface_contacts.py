@@ -1,5 +1,5 @@
-"""B-spline tools (paper sections 4.3 to 4.7): both surfaces are discretized and refined together, triangulated where their
-spheres meet, and the contacts found on the true surfaces."""
+"""B-spline tools (paper sections 4.3 to 4.7): both surfaces are discretized and refined together, triangulated where
+their spheres meet, and the contacts found on the true surfaces."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 EDGE = 1e-5
-"""Two tool patches share an edge where their closest points agree to this fraction of the tool's size (CAD's own gaps)."""
+"""Two tool patches share an edge where their closest points agree to this fraction of the tool's size (CAD's own
+gaps)."""
 
 
 def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Contacts], list[Crossings]]:
@@ -34,7 +35,8 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
     contacts: list[Contacts] = []
     crossings: list[Crossings] = []
     reach = max(run.options.margin, tool.reach)
-    # an open tool's sheet is felt to the depth of a cell at least: as far as spheres reach, so must the culls before them
+    # an open tool's sheet is felt to the depth of a cell at least: as far as spheres reach, so must the culls before
+    # them
     holds = reach + run.cell_sizes()
     for face in run.near(low, high, holds[:, None]):
         work, g = run.model(int(face))
@@ -106,8 +108,8 @@ def _span_pairs(
 
 
 def _whole_hull_apart(run: Run, face: int, index: int, g: Patch, tool: SurfaceTool) -> bool:
-    """Whether a model patch stays out of the hull of all the tool's patches together; else it may lie inside the tool, apart
-    from each of them."""
+    """Whether a model patch stays out of the hull of all the tool's patches together; else it may lie inside the tool,
+    apart from each of them."""
     mine = np.ascontiguousarray(g.net[..., :3] / g.net[..., 3:]).reshape(-1, 3)
     its = np.concatenate([np.asarray(net, dtype=np.float64).reshape(-1, 3) for net in tool.nets])
     run.cache.counters[0] += 1
@@ -124,8 +126,8 @@ def _crossings(
     pairs: Index,
     reach: float,
 ) -> tuple[Index, list[Crossings]]:
-    """Triangulation (4.6) and triangle tests (4.7) over the pairs of cells left. Returns the model's cells whose box, and the
-    sag of the surface over it, comes within `reach` of the tool's, and the crossings."""
+    """Triangulation (4.6) and triangle tests (4.7) over the pairs of cells left. Returns the model's cells whose box,
+    and the sag of the surface over it, comes within `reach` of the tool's, and the crossings."""
     g, h = work.patch, other.patch
     tri_a, first_a = triangulate(g, mine, len(mine), work.new_mark())
     tri_b, first_b = triangulate(h, its, len(its), other.new_mark())
@@ -153,8 +155,8 @@ def _sags(g: Patch, cells: Index) -> Array:
 def _closest_contacts(
     run: Run, index: int, face: int, solid: _Solid, work: Workspace, cells: list[Index]
 ) -> list[Contacts]:
-    """Contacts at the model's finest vertices: their closest points on the tool's true surface, from the cells left outwards
-    as long as there are contacts, so that the inside of a deep overlap is not lost."""
+    """Contacts at the model's finest vertices: their closest points on the tool's true surface, from the cells left
+    outwards as long as there are contacts, so that the inside of a deep overlap is not lost."""
     g, known, margin = work.patch, work.new_mark(), run.options.margin
     wave = np.concatenate([*(levels.vertices_of(g, part, known) for part in cells), np.zeros(0, np.int64)])
     if not len(wave) and not run.paper:
@@ -198,8 +200,8 @@ def _closest_contacts(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solid:
-    """A surface tool as `_nearest` sees it: its patches, their boxes (k, 2, 3), how near two closest points are one (on a
-    common edge), and the margin within which distances matter."""
+    """A surface tool as `_nearest` sees it: its patches, their boxes (k, 2, 3), how near two closest points are one
+    (on a common edge), and the margin within which distances matter."""
 
     grids: tuple[PatchGrid, ...]
     patches: list[Patch]
@@ -210,9 +212,9 @@ class _Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Nearest:
-    """Closest points of a tool to n points: depth (n,), positive inside, -inf where the tool is open there and says nothing;
-    gap (n,), the signed distance, and where it says nothing the distance, above the margin; unit outward normal (n, 3) and
-    the point (n, 3)."""
+    """Closest points of a tool to n points: depth (n,), positive inside, -inf where the tool is open there and says
+    nothing; gap (n,), the signed distance, and where it says nothing the distance, above the margin; unit outward
+    normal (n, 3) and the point (n, 3)."""
 
     depth: Array
     gap: Array
@@ -234,9 +236,9 @@ class _Nearest:
 def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False) -> _Nearest:
     """The closest points of all patches of a tool, and on which side of it the points lie.
 
-    At the common edge of two patches the sum of their normals tells the sides apart (Baerentzen and Aanaes 2005). A point
-    beyond an open border, or whose closest point has been trimmed away, is on no side. rough : points outside by more than
-    the margin need no exact distance.
+    At the common edge of two patches the sum of their normals tells the sides apart (Baerentzen and Aanaes 2005). A
+    point beyond an open border, or whose closest point has been trimmed away, is on no side. rough : points outside by
+    more than the margin need no exact distance.
     """
     best = np.full((len(points), 9), np.inf)
     state, owner = np.zeros(len(points), np.int64), np.full(len(points), -1, dtype=np.int64)

@@ -1,15 +1,15 @@
 """Triangle-Triangle Intersection Test (paper section 4.7), with exact signs.
 
-The paper uses a test similar to Guigue and Devillers' ("Fast and robust triangle-triangle overlap test using orientation
-predicates", Graphics Tools 8(1), 2003) and says that it cannot tackle degenerate cases. This one asks the same kind of
-question, signs of `orient3d` on the given vertices alone, but decides from a table of fifteen signs that is symmetric in
-the two triangles, so that swapping them or turning their vertices cannot change the answer:
+The paper uses a test similar to Guigue and Devillers' ("Fast and robust triangle-triangle overlap test using
+orientation predicates", Graphics Tools 8(1), 2003) and says that it cannot tackle degenerate cases. This one asks the
+same kind of question, signs of `orient3d` on the given vertices alone, but decides from a table of fifteen signs that
+is symmetric in the two triangles, so that swapping them or turning their vertices cannot change the answer:
 
     s1[i] = orient3d(q0, q1, q2, p_i)    s2[j] = orient3d(p0, p1, p2, q_j)    e[i, j] = orient3d(p_i, p_i+1, q_j, q_j+1)
 
-Two triangles in different planes meet in an interval of the line that the planes share; its ends are points where an edge
-of one goes through the plane of the other, and whether such a point lies in the other triangle is read off a row (or
-column) of e.
+Two triangles in different planes meet in an interval of the line that the planes share; its ends are points where an
+edge of one goes through the plane of the other, and whether such a point lies in the other triangle is read off a row
+(or column) of e.
 """
 
 from __future__ import annotations
@@ -62,10 +62,11 @@ def triangle_relation(p: ArrayLike, q: ArrayLike) -> tuple[Relation, Array | Non
 
 @njit
 def tri_tri(t: Array, segment: Array, work: Array) -> int:
-    """The relation of the triangles p = t[0:3] and q = t[3:6], t (6, 3); `segment` (6,) takes the two ends of the common
-    segment, or NaN where there is none.
+    """The relation of the triangles p = t[0:3] and q = t[3:6], t (6, 3); `segment` (6,) takes the two ends of the
+    common segment, or NaN where there is none.
 
-    work (WORK,) is scratch: s1 (3,), s2 (3,), e (9,), and the ends that lie in the other triangle, of p (6,) and of q (6,).
+    work (WORK,) is scratch: s1 (3,), s2 (3,), e (9,), and the ends that lie in the other triangle, of p (6,) and of q
+    (6,).
     """
     for k in range(6):
         segment[k] = np.nan
@@ -129,7 +130,8 @@ def mixed(x: float, y: float, z: float) -> bool:
 def interval_ends(t: Array, work: Array, which: int) -> tuple[int, bool]:
     """The points where the outline of one triangle (0: p, 1: q) goes through the other's plane and lies in the other.
 
-    Returns how many points (0, 1, 2; each into work[15:21] or work[21:27]) and whether one of them lies strictly inside.
+    Returns how many points (0, 1, 2; each into work[15:21] or work[21:27]) and whether one of them lies strictly
+    inside.
     """
     s, o, ends = 3 * which, 3 * which, 15 + 6 * which
     # row i of e, seen from the triangle

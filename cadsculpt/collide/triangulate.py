@@ -1,10 +1,10 @@
 """Triangulation of Surface (paper section 4.6): a mesh without holes over cells of any levels of detail.
 
-The construction of a cell's sphere compares its two diagonals; the circle through the longer one holds the fourth point, so
-by the Delaunay definition that the paper quotes it is the shorter diagonal that makes the two optimal triangles. A cell
-beside finer ones takes their vertices on its border into a fan around the middle one of its grid vertices (or, when it is
-one row wide, into a strip), so that no neighbour's vertex lies on an edge that passes it by: there is no crack. Vertices at
-a closed seam or at a pole have one name on both sides, so there is none there either.
+The construction of a cell's sphere compares its two diagonals; the circle through the longer one holds the fourth
+point, so by the Delaunay definition that the paper quotes it is the shorter diagonal that makes the two optimal
+triangles. A cell beside finer ones takes their vertices on its border into a fan around the middle one of its grid
+vertices (or, when it is one row wide, into a strip), so that no neighbour's vertex lies on an edge that passes it by:
+there is no crack. Vertices at a closed seam or at a pole have one name on both sides, so there is none there either.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ Index = NDArray[np.int64]
 def whole_mesh(grid: PatchGrid, net: Array, level: int = -1) -> tuple[Array, Index]:
     """All triangles of a patch at one level of detail (default: the finest): vertices (m n, 3) and triangles (t, 3).
 
-    Vertex i n + j is the grid's (i, j); those that no triangle uses (coarser levels, seams, poles) are NaN. Triangles are
-    oriented as S_u x S_v and cover the trimmed face's cells.
+    Vertex i n + j is the grid's (i, j); those that no triangle uses (coarser levels, seams, poles) are NaN. Triangles
+    are oriented as S_u x S_v and cover the trimmed face's cells.
     """
     work = Workspace(grid, np.zeros(16, np.int64))
     g = work.load(net, paper=False, delta=0.0)
@@ -124,7 +124,8 @@ def put(triangles: Index, total: int, a: int, b: int, c: int) -> int:
 
 @njit
 def strip(ring: Index, length: int, sides: Index, along_u: bool, triangles: Index, total: int) -> int:
-    """A cell one row wide: triangles between the chains of its two long sides, always from the chain that lags behind."""
+    """A cell one row wide: triangles between the chains of its two long sides, always from the chain that lags
+    behind."""
     # both chains by growing u (or v): one runs with the ring from `low`, the other against it from `high`
     if along_u:
         low, steps_low, high, steps_high = 0, sides[0], sides[0] + sides[1] + sides[2], sides[2]

@@ -1,8 +1,8 @@
 """Surface Discretization (paper section 4.4): points on a patch, made where something asks for them.
 
 `Workspace` holds what follows the control points: points, spheres and bounds, each made only when it is wanted, by the
-sparse rows of the transformation matrices (degree + 1 nonzeros each), and kept until the net changes. Kernels see it, and
-the patch's grid, as one `Patch`.
+sparse rows of the transformation matrices (degree + 1 nonzeros each), and kept until the net changes. Kernels see it,
+and the patch's grid, as one `Patch`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 ROUND_OFF = 64 * 2.0**-52
-"""Rounding of an evaluated point relative to the largest coordinate: a few units in the last place per basis product."""
+"""Rounding of an evaluated point relative to the largest coordinate: a few units in the last place per basis
+product."""
 
 CLOSED = 1e-9
 """Edges and poles count as closed when they agree to this fraction of the net's size."""
@@ -46,8 +47,8 @@ class Tree(NamedTuple):
 class Patch(NamedTuple):
     """What kernels see of one patch and its net.
 
-    Cells: level 0 is the knot spans, level L > 0 the cells between the rows of stride strides[L - 1]. A cell is (L, ku, kv),
-    its place in arrays over all cells offset[L] + ku * tally[L, 1] + kv. Vertices are flat: i * n + j.
+    Cells: level 0 is the knot spans, level L > 0 the cells between the rows of stride strides[L - 1]. A cell is (L,
+    ku, kv), its place in arrays over all cells offset[L] + ku * tally[L, 1] + kv. Vertices are flat: i * n + j.
     """
 
     net: Array
@@ -203,10 +204,11 @@ def load(
     net: Array, weights: Array, target: Array, rows_u: Array, first_u: Index, rows_v: Array, first_v: Index,
     row_u: Index, row_v: Index, tally: Index, box: Array, extent: Array, flags: Index,
 ) -> int:  # fmt: skip
-    """Take in a net: homogeneous points, box, span boxes, closed directions and poles. 0: unchanged; 1: new; -1: not finite.
+    """Take in a net: homogeneous points, box, span boxes, closed directions and poles. 0: unchanged; 1: new; -1: not
+    finite.
 
-    box (spans, 6): low and high corner of each span's own (k+1)(l+1) control points. flags: closed in u, in v, poles (1, 2:
-    first and last row of the grid; 4, 8: first and last column).
+    box (spans, 6): low and high corner of each span's own (k+1)(l+1) control points. flags: closed in u, in v, poles
+    (1, 2: first and last row of the grid; 4, 8: first and last column).
     """
     r, s = net.shape[0], net.shape[1]
     same = True
@@ -292,7 +294,8 @@ def canonical(i: int, j: int, m: int, n: int, wrap_u: bool, wrap_v: bool, poles:
 
 @njit
 def make_points(g: Patch, names: Index, count: int) -> None:
-    """The points of the vertices names[:count], each made once per net (paper eq. 2, one sparse row against one column)."""
+    """The points of the vertices names[:count], each made once per net (paper eq. 2, one sparse row against one
+    column)."""
     tick, n, s = g.tick, len(g.v), g.net.shape[1]
     net, half, half_stamp, points, stamp = g.net, g.half, g.half_stamp, g.points, g.point_stamp
     first_u, first_v, rows_u, rows_v = g.first_u, g.first_v, g.rows_u, g.rows_v

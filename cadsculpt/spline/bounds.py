@@ -4,13 +4,13 @@ The second derivatives over one knot span lie in the hull of the derivative nets
 Tiller, eq. 3.24 in both directions), so their largest lengths cost a few differences of control points and follow the
 deformation. From them, for a cell of parameter size hu x hv inside one span:
 
-- the surface lies within  (hu^2 max|S_uu| + hv^2 max|S_vv|) / 8  of the bilinear patch of the cell's corners, which lies
-  in the hull of the corners (linear interpolation along u, then along v);
-- it lies within  (hu^2 max|S_uu| + 2 hu hv max|S_uv| + hv^2 max|S_vv|) / 8  of any flat triangle whose three vertices are
-  points of the surface inside the cell (Filip, Magedson and Markot, CAGD 3 (1986), for the two halves of the cell). For
-  any triangle: with barycentric weights l_i and offsets d_i from the point to the vertices, sum l_i S(v_i) - S differs
-  from zero by at most sum l_i |D2 S(d_i, d_i)| / 2, and sum l_i du_i^2 is a variance on an interval of length hu, at most
-  hu^2 / 4; likewise hv^2 / 4 and, by Cauchy and Schwarz, hu hv / 4.
+- the surface lies within  (hu^2 max|S_uu| + hv^2 max|S_vv|) / 8  of the bilinear patch of the cell's corners, which
+  lies in the hull of the corners (linear interpolation along u, then along v);
+- it lies within  (hu^2 max|S_uu| + 2 hu hv max|S_uv| + hv^2 max|S_vv|) / 8  of any flat triangle whose three vertices
+  are points of the surface inside the cell (Filip, Magedson and Markot, CAGD 3 (1986), for the two halves of the
+  cell). For any triangle: with barycentric weights l_i and offsets d_i from the point to the vertices, sum l_i S(v_i)
+  - S differs from zero by at most sum l_i |D2 S(d_i, d_i)| / 2, and sum l_i du_i^2 is a variance on an interval of
+  length hu, at most hu^2 / 4; likewise hv^2 / 4 and, by Cauchy and Schwarz, hu hv / 4.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ S_U, S_V, S_UU, S_UV, S_VV = range(5)
 def derivative_bounds(surface: BSplineSurface, control_points: Array | None = None) -> Array:
     """Upper bounds of |S_u|, |S_v|, |S_uu|, |S_uv|, |S_vv| over every knot span: (spans_u, spans_v, 5).
 
-    `control_points` (r, s, 3) stand in for the surface's own where the surface has deformed. Units: length per parameter
-    (squared). Across a span's border only one side's derivatives are bounded by each span.
+    `control_points` (r, s, 3) stand in for the surface's own where the surface has deformed. Units: length per
+    parameter (squared). Across a span's border only one side's derivatives are bounded by each span.
     """
     points = surface.control_points if control_points is None else control_points
     weights = np.ones(surface.shape) if surface.weights is None else surface.weights
@@ -67,8 +67,8 @@ def span_bounds(
     """The five bounds over the span whose first control point is (i0, j0), into `out` (5,).
 
     net (r, s, 4) holds (w x, w y, w z, w). Rational surfaces: with A = w S relative to a point c of the span's hull,
-    S_u = (A_u - w_u S) / w and S_uu = (A_uu - 2 w_u S_u - w_uu S) / w, so that bounds on A's and w's derivatives, on |S - c|
-    and the least weight bound the quotient's.
+    S_u = (A_u - w_u S) / w and S_uu = (A_uu - 2 w_u S_u - w_uu S) / w, so that bounds on A's and w's derivatives, on
+    |S - c| and the least weight bound the quotient's.
     """
     cx, cy, cz = 0.0, 0.0, 0.0
     least, reach, steepest_u, steepest_v = 1.0, 0.0, 0.0, 0.0
@@ -119,7 +119,8 @@ def longest_difference(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, i0: int, j0: int, rational: bool, k: int,
     cx: float, cy: float, cz: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """The largest length in derivative net number k (S_U to S_VV) of A = w (S - c), and the largest value in w's, over a span."""
+    """The largest length in derivative net number k (S_U to S_VV) of A = w (S - c), and the largest value in w's, over
+    a span."""
     order_u, order_v = (1, 0, 2, 1, 0)[k], (0, 1, 0, 1, 2)[k]
     longest, steepest = 0.0, 0.0
     for a in range(p + 1 - order_u):
@@ -147,9 +148,9 @@ def separable_bound(net: Array, knots_u: Array, knots_v: Array, p: int, q: int, 
     """A bound on S_u, S_v or S_uv (k) where the span's weights are products a_i b_j, as in every surface of revolution,
     extrusion and quadric; infinite elsewhere.
 
-    Then S = sum R_i(u) R_j(v) P_ij with rational functions R of one variable. In R_i' = sum_j a_i a_j (N_i' N_j - N_i N_j') / W^2
-    the terms that multiply P_m+1 - P_m after summation by parts are not negative (B-splines are totally positive), so they
-    are at most (max a / min a)^2 times those of equal weights: the polynomial bound times that.
+    Then S = sum R_i(u) R_j(v) P_ij with rational functions R of one variable. In R_i' = sum_j a_i a_j (N_i' N_j - N_i
+    N_j') / W^2 the terms that multiply P_m+1 - P_m after summation by parts are not negative (B-splines are totally
+    positive), so they are at most (max a / min a)^2 times those of equal weights: the polynomial bound times that.
     """
     low_u, high_u, low_v, high_v = np.inf, 0.0, np.inf, 0.0
     corner = net[i0, j0, 3]

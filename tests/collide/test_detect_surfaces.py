@@ -172,7 +172,8 @@ def test_coplanar_sheets_overlap(shapes):
 
 
 def test_flat_cells_are_not_refined(shapes):
-    """4.5.1: two nearly flat sheets over a large area. The tolerance keeps the triangles few, the contacts stay as they are."""
+    """4.5.1: two nearly flat sheets over a large area. The tolerance keeps the triangles few, the contacts stay as
+    they are."""
     grid = PatchGrid.of(shapes.plate(10.0, 6, 3, height=lambda x, y: 0.001 * np.sin(x)), 97)
     under = replace(shapes.plate(10.0, 6, 3, height=lambda x, y: 0.001 * np.cos(y)), outward=False)
     tool = _tool([under], 49)
@@ -259,3 +260,35 @@ def test_several_tools_and_faces_come_in_order(shapes):
     assert {(b, f) for b, f in zip(contacts.b, contacts.face, strict=True)} == {(0, 0), (0, 1), (1, 0)}
     keys = np.column_stack([contacts.a, contacts.b, contacts.face, contacts.u, contacts.v])
     assert np.array_equal(keys, keys[np.lexsort(keys.T[::-1])])
+
+
+@pytest.mark.parametrize("clamped", [True, False])
+def test_an_open_tube_touches_with_its_side_only(shapes, clamped):
+    """A cylinder without lids, across its seam: depth is radius minus distance from the axis; beyond its ends,
+    nothing."""
+    # the periodic cubic runs inside its control points, a circle to a tenth of a percent
+    radius = 2.0 if clamped else 6.0 / (2.0 + np.cos(np.pi / 6))
+    tube = shapes.cylinder(radius, 6.0, closed_clamped=clamped)
+    turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # its axis along x, its seam downwards
+    net = tube.control_points @ turn.T + [2.0, 5.0, 1.5]
+    grid = PatchGrid.of(shapes.plate(10.0), 81)
+    tool = SurfaceTool((PatchGrid.of(tube, (65, 17)),), (np.ascontiguousarray(net),))
+    contacts = _detect(grid, tool, DetectOptions(margin=0.1)).contacts
+    points = grid.matrices.points(grid.surface.control_points).reshape(-1, 3)
+    radius = np.hypot(points[:, 1] - 5.0, points[:, 2] - 1.5)
+    along = (points[:, 0] >= 2.0 - 1e-9) & (points[:, 0] <= 8.0 + 1e-9)
+    tolerance = 1e-9 if clamped else 3e-3
+    assert len(contacts) == pytest.approx(((radius <= 2.1) & along).sum(), abs=0 if clamped else 40)
+    assert contacts.depth == pytest.approx(2.0 - np.hypot(contacts.point[:, 1] - 5.0, 1.5), abs=tolerance)
+    assert contacts.point[:, 0].min() >= 2.0 - 1e-9
+    assert contacts.point[:, 0].max() <= 8.0 + 1e-9
+
+
+def test_paper_mode_finds_no_contact_that_is_not_there(shapes):
+    rng = np.random.default_rng(12)
+    for _ in range(8):
+        surface = shapes.random_surface(rng)
+        grid = PatchGrid.of(surface, 25)
+        tool = _tool([shapes.ball(2.0, rng.uniform([2, 2, -1], [8, 8, 2]))], (17, 9))
+        ours, paper = (_detect(grid, tool, DetectOptions(mode=mode)).contacts for mode in ("certified", "paper"))
+        assert set(zip(paper.u, paper.v, strict=True)) <= set(zip(ours.u, ours.v, strict=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from cadsculpt.collide.grid import PatchGrid
 from cadsculpt.collide.spheres import make_spheres, smallest_sphere, sphere_of
@@ -89,19 +90,19 @@ def test_collinear_and_coincident_points_do_not_make_huge_spheres():
             assert radius <= 0.51 * size + 1e-12
 
 
+def _radius(centre, points):
+    return np.linalg.norm(points - centre, axis=1).max()
+
+
 def test_the_smallest_sphere_is_the_smallest():
     rng = np.random.default_rng(5)
-    from scipy.optimize import minimize
-
     for k in range(40):
         points = rng.normal(size=(4, 3)) * ([1, 1, 0.01] if k % 2 else [1, 1, 1])
         out, trial = np.empty(4), np.empty(4)
         smallest_sphere(points, np.arange(4), out, trial)
-        radius = np.linalg.norm(points - out[:3], axis=1).max()
-        best = min(
-            minimize(lambda c: np.linalg.norm(points - c, axis=1).max(), start, method="Nelder-Mead", tol=1e-9).fun
-            for start in (points.mean(axis=0), out[:3])
-        )
+        radius = _radius(out[:3], points)
+        starts = (points.mean(axis=0), out[:3])
+        best = min(minimize(_radius, start, (points,), method="Nelder-Mead", tol=1e-9).fun for start in starts)
         # of four points in general position on their own sphere the mean point's serves, which is not the smallest
         assert radius <= best * (1.0 + 1e-6) or (radius < 1.3 * best and _none_of_three_holds(points))
 

@@ -51,7 +51,7 @@ def test_cells_of_mixed_levels_meet_without_cracks(shapes, seed):
     surface = shapes.random_surface(rng, rational=bool(seed % 2))
     grid = PatchGrid.of(surface, (int(rng.integers(2, 40)), int(rng.integers(2, 40))))
     cells = _random_leaves(grid, rng)
-    g, triangles, first = _triangulated(grid, surface.control_points, cells)
+    _, triangles, first = _triangulated(grid, surface.control_points, cells)
     m, n = grid.shape
     edges, directed = _edges(triangles)
     assert max(directed.values()) == 1  # consistently oriented
@@ -59,7 +59,8 @@ def test_cells_of_mixed_levels_meet_without_cracks(shapes, seed):
         i, j = np.divmod([a, b], n)
         on_border = (i[0] == i[1] and i[0] in (0, m - 1)) or (j[0] == j[1] and j[0] in (0, n - 1))
         assert count == (1 if on_border else 2)
-    # the border is the whole border of the patch, and in (u, v) every triangle turns the same way and they fill the domain
+    # the border is the whole border of the patch, and in (u, v) every triangle turns the same way and they fill the
+    # domain
     u, v = grid.matrices.u[triangles // n], grid.matrices.v[triangles % n]
     area = 0.5 * ((u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]))
     assert area.min() > 0

@@ -91,7 +91,8 @@ def test_bounds_follow_a_deformation_and_ignore_a_translation():
 
 
 def test_a_cylinder_has_no_twist():
-    """Weights that are products: the mixed derivative of an extruded arc is bounded by zero, not by its weights' slope."""
+    """Weights that are products: the mixed derivative of an extruded arc is bounded by zero, not by its weights'
+    slope."""
     c = np.sqrt(0.5)
     net = np.array([[[x, y, z] for z in (0.0, 30.0)] for x, y in ((5.0, 0.0), (5.0, 5.0), (0.0, 5.0))])
     weights = np.array([[1.0, 2.0], [c, 2 * c], [1.0, 2.0]])
