@@ -6,6 +6,7 @@ wins. `first_compilation()` tells whether this machine has never compiled these 
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from collections.abc import Callable
@@ -20,16 +21,24 @@ from ._version import __version__
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+def _fingerprint() -> str:
+    """A hash of the engine's sources: numba does not see that a kernel has changed which another one calls."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def _cache_folder() -> Path:
     if "NUMBA_CACHE_DIR" in os.environ:
         return Path(os.environ["NUMBA_CACHE_DIR"])
-    folder = Path(platformdirs.user_cache_dir("cadsculpt")) / f"kernels-{__version__}"
+    folder = Path(platformdirs.user_cache_dir("cadsculpt")) / f"kernels-{__version__}-{_fingerprint()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError:
-        folder = Path(tempfile.gettempdir()) / f"cadsculpt-kernels-{__version__}"
+        folder = Path(tempfile.gettempdir()) / f"cadsculpt-{folder.name}"
         folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -99,7 +99,7 @@ def build_model(
         for spec in scene.tool
     )
     swept = np.concatenate([swept_boxes(tool) for tool in tools])
-    patches = tuple(build_patch(scene, spec, index, face, spacing, swept, unit) for spec, index, face, spacing in faces)
+    patches = tuple(_built(scene, spec, index, face, spacing, swept, unit) for spec, index, face, spacing in faces)
     points = np.concatenate([patch.surface.control_points.reshape(-1, 3) for patch in patches])
     step = _step(scene, tools, finest, patches)
     duration = max(tool.path.duration for tool in tools)
@@ -115,6 +115,21 @@ def build_model(
         refit_threshold=STILL * scene.refit.tolerance,
         size=float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))),
     )
+
+
+def _built(
+    scene: Scene,
+    spec: ModelSpec,
+    index: int,
+    face: SourceFace,
+    spacing: tuple[float, float],
+    swept: Array,
+    unit: float,
+) -> Patch:
+    try:
+        return build_patch(scene, spec, index, face, spacing, swept, unit)
+    except InputError as error:
+        raise type(error)(error.what, where=f"model {spec.name!r}, face {face.name!r}", mend=error.mend) from None
 
 
 def swept_boxes(tool: ToolBody, samples: int = 256) -> Array:

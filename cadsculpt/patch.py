@@ -12,6 +12,7 @@ from .collide.detect import PatchGrid
 from .errors import InputError
 from .physics.explicit import stable_substep
 from .physics.forces import contact_damping, contact_stiffness
+from .physics.inward import inward_directions
 from .physics.lattice import Lattice, build_lattice
 from .physics.material import Material
 from .physics.node_grid import NodeGrid, node_grid
@@ -97,7 +98,6 @@ def build_patch(
 
     Raises InputError or GeometryError naming the model and the face.
     """
-    where = f"model {spec.name!r}, face {face.name!r}"
     source = face.surface if spec.outward is None else replace(face.surface, outward=spec.outward)
     source.validate()
     window = node_window(source)
@@ -106,14 +106,15 @@ def build_patch(
         source, spacing, window=window, refine=reached, most_control_points=scene.refit.max_control_points
     )
     surface = nodes.surface
-    normals = surface.normal(nodes.u[:, None], nodes.v)
-    if not np.isfinite(normals).all():
-        i, j = np.argwhere(~np.isfinite(normals).all(axis=2))[0]
-        raise InputError(
-            f"the surface has no normal at u = {nodes.u[i]:g}, v = {nodes.v[j]:g}",
-            where=where,
-            mend="choose another face, or repair this one",
-        )
+    points = surface.evaluate(nodes.u[:, None], nodes.v)
+    inward = inward_directions(
+        points,
+        surface.normal(nodes.u[:, None], nodes.v),
+        nodes.u,
+        nodes.v,
+        thickness=spec.thickness,
+        wrap=(nodes.wrap_u, nodes.wrap_v),
+    )
     material = scene.material_of(spec.material)
     on_face = inside(
         surface,
@@ -131,8 +132,8 @@ def build_patch(
     thickness = spec.thickness
     held_edges = [edge for edge in face.edges if edge.neighbours and spec.edges == "held" and not edge.seam]
     lattice = build_lattice(
-        surface.evaluate(nodes.u[:, None], nodes.v),
-        -normals,
+        points,
+        inward,
         nodes.u,
         nodes.v,
         thickness=thickness,
@@ -152,7 +153,7 @@ def build_patch(
         surface=surface,
         grid=PatchGrid.of(surface, scene.solver.resolution),
         lattice=lattice,
-        refit=Refit.of(surface, nodes.u, nodes.v, held),
+        refit=Refit.of(surface, nodes.u, nodes.v, held, nodes.slivers),
         u=nodes.u,
         v=nodes.v,
         held=held,

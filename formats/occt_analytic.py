@@ -40,8 +40,8 @@ from ..errors import GeometryError
 from ..spline.surface import BSplineSurface
 from .arcs import FULL_TURN, ArcParameter, UnitArc, unit_arc
 from .curve_fit import fit_curve
-from .occt_arrays import from_integers, from_points, from_reals
-from .occt_shape import basis_of_geom, surface_of_geom, transformed
+from .occt_arrays import from_integers, from_points, from_reals, knots_and_multiplicities
+from .occt_shape import basis_of_geom, surface_of_geom, transformed, unrolled_knots
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
@@ -124,10 +124,36 @@ def convert(geom: Geom_Surface, bounds: Bounds, transformation: gp_Trsf | None =
         made = _revolution(geom, u0, u1, v0, v1)
     else:
         made = _approximated(geom, u0, u1, v0, v1)
+    surface = _closed_up(_closed_up(made.surface, 0), 1) if not made.note else made.surface
     if transformation is not None:
-        net = transformed(made.surface.control_points, transformation)
-        made = replace(made, surface=replace(made.surface, control_points=net))
-    return made
+        surface = replace(surface, control_points=transformed(surface.control_points, transformation))
+    return replace(made, surface=surface)
+
+
+def _closed_up(surface: BSplineSurface, axis: int) -> BSplineSurface:
+    """Make a direction periodic whose first and last control points are the same, so that its seam cannot open.
+
+    It is also what the kernel makes of a closed surface when it reads one from STEP.
+    """
+    degree = (surface.degree_u, surface.degree_v)[axis]
+    net = np.moveaxis(surface.control_points, axis, 0)
+    weights = None if surface.weights is None else np.moveaxis(surface.weights, axis, 0)
+    count = len(net) - 1
+    gap = float(np.abs(net[0] - net[-1]).max())
+    if count < 2 or gap > 1e-14 * surface.size or (weights is not None and (weights[0] != weights[-1]).any()):
+        return surface
+    values, counts = knots_and_multiplicities((surface.knots_u, surface.knots_v)[axis])
+    counts[[0, -1]] = degree
+    knots, _ = unrolled_knots(values, counts, degree, True)
+    rows = np.arange(count + degree) % count
+    closed = replace(
+        surface,
+        control_points=np.moveaxis(net[rows], 0, axis),
+        weights=None if weights is None else np.moveaxis(weights[rows], 0, axis),
+    )
+    if axis == 0:
+        return replace(closed, knots_u=knots, periodic_u=True)
+    return replace(closed, knots_v=knots, periodic_v=True)
 
 
 def _vector(item: gp_Pnt | gp_Vec | gp_Dir) -> Array:

@@ -36,9 +36,8 @@ beyond (with this margin for their bulge) hold nothing nearer than what is found
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Closest:
-    """The closest points (n, 3) of a patch to n points, with (u, v) (n,), the distance (n,), and the unit normal (n,
-    3) out of the material there. proper (n,) : False where the closest point lies on an open border, seen at an
-    oblique angle."""
+    """The closest points of a patch to n points: parameters u, v (n,), point (n, 3), distance (n,), unit normal (n, 3)
+    out of the material. proper (n,) : False where the closest point lies on an open border, seen at an oblique angle."""
 
     u: Array
     v: Array
@@ -83,7 +82,7 @@ def project(
     """Closest points of one patch to points (n, 3), where they are nearer than what `best` (n, 9) holds already.
 
     group (k + 1,) : points group[i] to group[i + 1] are neighbours. beyond : points outside and farther than this
-    (infinite: none) get their distance to ROUGH squared only. owner (n,) becomes `patch` where it wins. A point as
+    (infinite: none) get their distance to a percent only (`newton.ROUGH`). owner (n,) becomes `patch` where it wins. A point as
     near (to `tie`) as the one of a patch before, and in the same place, is on their common edge: the normals are added
     (the pseudo-normal of that edge) and the state becomes PROPER, for the edge is no border then.
     """
@@ -103,7 +102,7 @@ def project(
     c = np.empty(3)
     table = np.empty((64, 8))
     u, v = g.u, g.v
-    warm, px, py, pz, last_u, last_v = False, 0.0, 0.0, 0.0, 0.0, 0.0
+    px, py, pz, last_u, last_v = 0.0, 0.0, 0.0, 0.0, 0.0
     for gi in range(len(group) - 1):
         lo, hi = group[gi], group[gi + 1]
         # the group's sphere
@@ -169,6 +168,8 @@ def project(
                 else:
                     here[count, 0], here[count, 1], here[count, 2] = level, ku, kv
                     count += 1
+        if finals == 0:
+            continue
         # the candidates' middles, radii and (u, v) ranges, side by side
         while len(table) < finals:
             table = np.empty((2 * len(table), 8))
@@ -180,13 +181,14 @@ def project(
             table[t, 3] = spheres[at, 3] * spheres[at, 3]
             table[t, 4], table[t, 5] = u[row_u[level, ku]], u[row_u[level, ku + 1]]
             table[t, 6], table[t, 7] = v[row_v[level, kv]], v[row_v[level, kv + 1]]
+        warm = False
         for i in range(lo, hi):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             reached = np.inf
             for attempt in range(3):
                 started = False
                 if attempt == 0:
-                    # from the neighbour's closest point, by its tangents
+                    # from the closest point of the one before in the group, by its tangents
                     if warm:
                         du, dv = along(h, x - px, y - py, z - pz)
                         found[U] = inside(found[U] + du, u[0], u[len(u) - 1], g.wrap_u)

@@ -63,7 +63,8 @@ class SurfaceTool:
     """B-spline patches with their control points (r, s, 3) in the world; each patch's `outward` is out of the tool.
 
     reach : how deep behind an open tool (a sheet, a cap) a model is still in contact where the two do not cross, as
-    when flat is pressed on flat. What crosses the tool, or lies inside a closed one, is found at any depth.
+    when flat is pressed on flat; a sheet of one patch is felt to the depth of a cell in any case. What crosses the
+    tool, or lies inside a closed one, is found at any depth.
     """
 
     grids: tuple[PatchGrid, ...]
@@ -240,8 +241,10 @@ def on_face(grid: PatchGrid, uv: Array) -> Mask:
     j = np.clip(np.searchsorted(grid.matrices.v, uv[:, 1], side="right") - 1, 0, grid.shape[1] - 2)
     corners = np.stack([grid.inside[i + a, j + b] for a in (0, 1) for b in (0, 1)])
     out: Mask = np.logical_and.reduce(corners, axis=0)
-    for k in np.flatnonzero(corners.any(axis=0) & ~out):
-        out[k] = inside(grid.surface, uv[k, :1], uv[k, 1:])[0, 0]
+    mixed = np.flatnonzero(corners.any(axis=0) & ~out)
+    for start in range(0, len(mixed), 64):
+        part = mixed[start : start + 64]
+        out[part] = np.diagonal(inside(grid.surface, uv[part, 0], uv[part, 1]))
     return out
 
 

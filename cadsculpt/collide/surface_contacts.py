@@ -35,32 +35,32 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
     contacts: list[Contacts] = []
     crossings: list[Crossings] = []
     reach = max(run.options.margin, tool.reach)
-    # an open tool's sheet is felt to the depth of a cell at least: as far as spheres reach, so must the culls before
-    # them
-    holds = reach + run.cell_sizes()
-    for face in run.near(low, high, holds[:, None]):
-        work, g = run.model(int(face))
+    # an open sheet is felt to the depth of a cell at least, or flat pressed on flat would lose its contact as it begins
+    holds = reach + (run.cell_sizes() if len(tool.nets) == 1 else np.zeros(len(run.grids)))
+    for face in run.near(low, high, holds[:, None]).tolist():
+        work, g = run.model(face)
         hold = float(holds[face])
         model_low, model_high = run.extents[face] + np.array([[-1.0], [1.0]]) * hold
         meets = ((extents[:, 0] <= model_high) & (extents[:, 1] >= model_low)).all(axis=1)
         cells: list[Index] = []
         culled = True
-        for k in np.flatnonzero(meets):
-            other, h = run.load((index, int(k)), tool.grids[k], tool.nets[k])
-            spans = _span_pairs(run, (int(face), index, int(k)), work, g, other, h, hold)
+        for k in np.flatnonzero(meets).tolist():
+            other, h = run.load((index, k), tool.grids[k], tool.nets[k])
+            felt = reach if other.closed else hold
+            spans = _span_pairs(run, (face, index, k), work, g, other, h, felt)
             if spans is None:
                 continue
             culled = False
             if not len(spans):
                 continue
             tolerance = 0.0 if run.paper else run.options.tolerance
-            mine, its, pairs = levels.traverse(work, other, spans, reach, tolerance)
+            mine, its, pairs = levels.traverse(work, other, spans, felt, tolerance)
             if not len(pairs):
                 continue
-            left, found = _crossings(run, (int(face), index, int(k)), work, other, mine, its, pairs, reach)
+            left, found = _crossings(run, (face, index, k), work, other, mine, its, pairs, felt)
             cells.append(left)
             crossings += found
-        if culled and (len(tool.nets) == 1 or _whole_hull_apart(run, int(face), index, g, tool)):
+        if culled and (len(tool.nets) == 1 or _whole_hull_apart(run, face, index, g, tool)):
             continue
         solid = _Solid(
             tool.grids,
@@ -69,7 +69,7 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
             EDGE * size,
             run.options.margin,
         )
-        contacts += _closest_contacts(run, index, int(face), solid, work, cells)
+        contacts += _closest_contacts(run, index, face, solid, work, cells)
     return contacts, crossings
 
 
@@ -264,7 +264,8 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
     sided = state == PROPER
     for k, grid in enumerate(solid.grids):
         if grid.inside is not None:
-            mine = np.flatnonzero((owner == k) & sided)
+            # what is clear of the tool is so with or without its trimmed parts
+            mine = np.flatnonzero((owner == k) & sided & (side * distance <= solid.margin))
             sided[mine[~on_face(grid, best[mine][:, [U, V]])]] = False
     depth = np.where(sided, -side * distance, -np.inf)
     gap = np.where(sided, side * distance, np.maximum(distance, (1 + 1e-9) * solid.margin + 1e-300))

@@ -158,6 +158,12 @@ class Workspace:
         return self.patch
 
     @property
+    def closed(self) -> bool:
+        """The loaded patch has no border: each direction closes on itself or ends in two poles, and nothing is trimmed."""
+        g = self.patch
+        return self.grid.inside is None and (g.wrap_u or g.poles & 3 == 3) and (g.wrap_v or g.poles & 12 == 12)
+
+    @property
     def tree(self) -> Tree:
         """The cells of the loaded patch."""
         g = self.patch

@@ -17,9 +17,15 @@ from numpy.typing import NDArray
 from ..errors import GeometryError, InputError
 from ..spline.matrices import breakpoints, design_matrix
 from ..spline.refine import insert_knots
+from ..spline.refit import folded, sliver_ties
 from ..spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
+
+Span = tuple[float, float]
+
+SLIVER = 0.05
+"""A knot span narrower than this share of the node spacing gets no node: its two sides move as one."""
 
 MOST_NODES = 400_000
 """Nodes on one patch's surface; above this a lattice takes minutes a step and the spacing is surely a slip."""
@@ -37,7 +43,8 @@ class NodeGrid:
     """Node parameters u (nu,) and v (nv,) of one patch, and its surface with the knots that they need.
 
     wrap_u, wrap_v : the direction is closed; its last node is the first one, and is left out.
-    window : ((u0, u1), (v0, v1)), the piece of the domain that carries nodes.
+    window : ((u0, u1), (v0, v1)), the piece of the domain that carries nodes. slivers : knot spans, along u and along v,
+    that are too narrow for a node.
     """
 
     surface: BSplineSurface
@@ -46,6 +53,7 @@ class NodeGrid:
     wrap_u: bool
     wrap_v: bool
     window: tuple[tuple[float, float], tuple[float, float]]
+    slivers: tuple[list[Span], list[Span]]
 
 
 def node_grid(
@@ -71,12 +79,13 @@ def node_grid(
     # a cut window needs a net that can move inside it and stand still outside
     cut = [window[axis] != whole[axis] for axis in (0, 1)]
     for stride in STRIDES:
-        nodes, knots = [], []
+        nodes, knots, slivers = [], [], []
         for axis in (0, 1):
             region = window[axis] if cut[axis] else (refine[axis] if refine is not None else None)
-            t, new = _along(surface, axis, spacing[axis], window, region, stride)
+            t, new, narrow = _along(surface, axis, spacing[axis], window, region, stride)
             nodes.append(t)
             knots.append(new)
+            slivers.append(narrow)
         count = len(nodes[0]) * len(nodes[1])
         if count > MOST_NODES:
             raise InputError(
@@ -102,6 +111,7 @@ def node_grid(
         closed[0],
         closed[1],
         window,
+        (slivers[0], slivers[1]),
     )
 
 
@@ -112,19 +122,26 @@ def _along(
     window: tuple[tuple[float, float], tuple[float, float]],
     refine: tuple[float, float] | None,
     stride: int,
-) -> tuple[Array, Array]:
-    """Node parameters (n,) along one axis, ends included, and the knots to insert: a knot for every `stride` nodes."""
+) -> tuple[Array, Array, list[Span]]:
+    """Node parameters (n,) along one axis, ends included; the knots to insert, one for every `stride` nodes; the slivers."""
     degree = (surface.degree_u, surface.degree_v)[axis]
     knots = (surface.knots_u, surface.knots_v)[axis]
     low, high = window[axis]
     inner = breakpoints(knots, degree)
     borders = np.concatenate([[low], inner[(inner > low) & (inner < high)], [high]])
     pieces: list[Array] = [borders[:1]]
+    slivers: list[Span] = []
     for a, b in zip(borders[:-1], borders[1:], strict=True):
         t, length = _mean_arc_length(surface, axis, a, b, window[1 - axis])
+        if length[-1] < SLIVER * spacing and len(borders) > 2:
+            # no node inside, and one for both its ends: cells that narrow would fold, and dictate the time step
+            slivers.append((float(a), float(b)))
+            if b == borders[-1]:
+                pieces[-1] = np.array([b])
+            continue
         cells = max(1, int(np.ceil(length[-1] / spacing - 1e-9)))
-        # a piece that is not refined carries its degree's worth of freedom on its own nodes
-        cells = max(cells, 2 if len(borders) > degree + 1 else degree)
+        # enough for the control points that the piece would have without its neighbours' help (Schoenberg and Whitney)
+        cells = max(cells, -(-(_multiplicity(knots, degree, a) + _multiplicity(knots, degree, b)) // 2))
         if length[-1] > 0:
             inside = np.interp(np.linspace(0, length[-1], cells + 1)[1:-1], length, t)
         else:
@@ -132,7 +149,7 @@ def _along(
         pieces += [inside, np.array([b])]
     t = np.concatenate(pieces)
     if refine is None:
-        return _determined(knots, degree, t), np.zeros(0)
+        return _determined(knots, degree, t, slivers), np.zeros(0), slivers
     periodic = (surface.periodic_u, surface.periodic_v)[axis]
     # a window's own ends become knots, so that supports end there
     ends = np.array(
@@ -140,9 +157,16 @@ def _along(
     )
     for every in [s for s in STRIDES if s >= stride]:
         added = np.union1d(_candidates(t, knots, degree, refine, every, open_ends=not periodic), ends)
-        if _is_determined(np.sort(np.concatenate([knots, added])), degree, t):
-            return t, added
-    return _determined(np.sort(np.concatenate([knots, ends])), degree, t), ends
+        for a, b in slivers:
+            added = added[(added < a) | (added > b)]
+        if _is_determined(np.sort(np.concatenate([knots, added])), degree, t, slivers):
+            return t, added, slivers
+    return _determined(np.sort(np.concatenate([knots, ends])), degree, t, slivers), ends, slivers
+
+
+def _multiplicity(knots: Array, degree: int, t: float) -> int:
+    """How often t stands among the knots, at most `degree`; 1 for an end of a window that is no knot."""
+    return max(1, min(degree, int(np.count_nonzero(knots == t))))
 
 
 def _candidates(
@@ -163,28 +187,29 @@ def _candidates(
     # a knot that the file brings takes the place of its nearest marks: of none but itself when it is simple and on a node
     values, counts = np.unique(knots[(knots > t[0]) & (knots < t[-1])], return_counts=True)
     for value, count in zip(values, counts, strict=True):
-        spare = marks[marks != value]
-        nearest = spare[np.argsort(np.abs(spare - value), kind="stable")[: count - degree % 2]]
-        marks = np.setdiff1d(marks, nearest)
+        spare = int(count) - degree % 2
+        before, after = marks[marks < value], marks[marks > value]
+        left = min(spare // 2, len(before))
+        marks = np.setdiff1d(marks, np.concatenate([before[len(before) - left :], after[: spare - left]]))
     if stride > 1:
         marks = marks[stride // 2 :: stride]
     marks = marks[(marks >= refine[0]) & (marks <= refine[1])]
     return np.setdiff1d(marks, knots)
 
 
-def _is_determined(knots: Array, degree: int, t: Array) -> bool:
+def _is_determined(knots: Array, degree: int, t: Array, slivers: list[Span]) -> bool:
     """Whether values at t determine every control point whose support they meet, and well."""
-    basis = design_matrix(knots, degree, t)
+    basis = folded(design_matrix(knots, degree, t), sliver_ties(knots, degree, slivers))
     basis = basis[:, (basis != 0).any(axis=0)]
     if basis.shape[1] > basis.shape[0]:
         return False
     return bool(np.linalg.cond(basis) < WORST_CONDITION)
 
 
-def _determined(knots: Array, degree: int, t: Array) -> Array:
+def _determined(knots: Array, degree: int, t: Array, slivers: list[Span]) -> Array:
     """The nodes t, with cells halved until they determine the net."""
     for _ in range(6):
-        if _is_determined(knots, degree, t):
+        if _is_determined(knots, degree, t, slivers):
             break
         t = np.sort(np.concatenate([t, 0.5 * (t[1:] + t[:-1])]))
     return t

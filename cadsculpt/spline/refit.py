@@ -9,6 +9,7 @@ Control points that are one point in space (the two sides of a seam, the repeats
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -56,21 +57,29 @@ class Refit:
     _factors: dict[tuple[int, int, int, int], _Factor] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, surface: BSplineSurface, u: Array, v: Array, held: Mask | None = None) -> Refit:
+    def of(
+        cls,
+        surface: BSplineSurface,
+        u: Array,
+        v: Array,
+        held: Mask | None = None,
+        slivers: tuple[Sequence[tuple[float, float]], Sequence[tuple[float, float]]] = ((), ()),
+    ) -> Refit:
         """Prepare the refit of `surface` to nodes at the grid u (m,) x v (n,).
 
-        held (r, s): control points that must not move. A closed direction's nodes must not repeat the seam.
+        held (r, s): control points that must not move. slivers : knot spans along u and along v without nodes, whose
+        control points move as one. A closed direction's nodes must not repeat the seam.
         Raises GeometryError naming the patch and the direction when the nodes do not determine the control points
         (the Schoenberg-Whitney condition).
         """
-        tie_u = tied_rows(surface, 0)
-        tie_v = tied_rows(surface, 1)
+        tie_u = _joined(tied_rows(surface, 0), sliver_ties(surface.knots_u, surface.degree_u, slivers[0]))
+        tie_v = _joined(tied_rows(surface, 1), sliver_ties(surface.knots_v, surface.degree_v, slivers[1]))
         free = np.ones((tie_u.max() + 1, tie_v.max() + 1), dtype=np.bool_)
         if held is not None:
             rows, columns = np.nonzero(held)
             free[tie_u[rows], tie_v[columns]] = False
-        A_u = _folded(design_matrix(surface.knots_u, surface.degree_u, u), tie_u)
-        A_v = _folded(design_matrix(surface.knots_v, surface.degree_v, v), tie_v)
+        A_u = folded(design_matrix(surface.knots_u, surface.degree_u, u), tie_u)
+        A_v = folded(design_matrix(surface.knots_v, surface.degree_v, v), tie_v)
         first_u = np.unique(tie_u, return_index=True)[1]
         first_v = np.unique(tie_v, return_index=True)[1]
         weights = np.ones(free.shape) if surface.weights is None else surface.weights[np.ix_(first_u, first_v)]
@@ -226,10 +235,38 @@ def tied_rows(surface: BSplineSurface, axis: int) -> NDArray[np.int64]:
     return rows
 
 
-def _folded(matrix: Array, tie: NDArray[np.int64]) -> Array:
-    folded = np.zeros((len(matrix), tie.max() + 1))
-    np.add.at(folded.T, tie, matrix.T)
-    return folded
+def sliver_ties(knots: Array, degree: int, slivers: Sequence[tuple[float, float]]) -> NDArray[np.int64]:
+    """For each row of control points its unknown: rows whose Greville abscissae lie in one sliver share it."""
+    count = len(knots) - degree - 1
+    tie = np.arange(count)
+    if not slivers:
+        return tie
+    greville = np.array([knots[i + 1 : i + degree + 1].mean() for i in range(count)])
+    for low, high in slivers:
+        index = np.flatnonzero((greville >= low) & (greville <= high))
+        if len(index) > 1:
+            tie[index] = tie[index[0]]
+    return np.unique(tie, return_inverse=True)[1].astype(np.int64)
+
+
+def _joined(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows tied by either of two ties, by any chain of them: connected components, numbered in order."""
+    both = first
+    while True:
+        before = both
+        for tie in (first, second):
+            lowest = np.full(tie.max() + 1, len(tie))
+            np.minimum.at(lowest, tie, both)
+            both = lowest[tie]
+        if np.array_equal(both, before):
+            return np.unique(both, return_inverse=True)[1].astype(np.int64)
+
+
+def folded(matrix: Array, tie: NDArray[np.int64]) -> Array:
+    """Columns of tied control points added up: (m, unknowns)."""
+    result = np.zeros((len(matrix), tie.max() + 1))
+    np.add.at(result.T, tie, matrix.T)
+    return result
 
 
 def _touched(matrix: Array) -> slice:

@@ -292,3 +292,14 @@ def test_paper_mode_finds_no_contact_that_is_not_there(shapes):
         tool = _tool([shapes.ball(2.0, rng.uniform([2, 2, -1], [8, 8, 2]))], (17, 9))
         ours, paper = (_detect(grid, tool, DetectOptions(mode=mode)).contacts for mode in ("certified", "paper"))
         assert set(zip(paper.u, paper.v, strict=True)) <= set(zip(ours.u, ours.v, strict=True))
+
+
+def test_flat_pressed_on_flat_keeps_its_contact(shapes):
+    """An open sheet parallel to the model, which it never crosses: felt to a cell's depth, or as deep as it says."""
+    sheet = shapes.plate(4.0)
+    grid = PatchGrid.of(shapes.plate(10.0), 41)
+    for depth, reach, touches in ((1e-3, 0.0, True), (0.1, 0.0, True), (1.5, 0.0, False), (1.5, 2.0, True)):
+        down = replace(sheet.with_control_points(sheet.control_points + [3, 3, -depth]), outward=False)
+        contacts = _detect(grid, _tool([down], 17, reach)).contacts
+        assert (len(contacts) > 0) == touches
+        assert contacts.depth == pytest.approx(depth, abs=1e-9)

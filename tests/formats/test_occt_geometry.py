@@ -109,7 +109,13 @@ def test_conversion_equals_the_kernel_point_by_point(kind, geom, bounds, toleran
 
 def test_closed_analytic_surfaces_close_exactly():
     sphere = convert(Geom_SphericalSurface(FRAME, 2), (0, TURN, -pi / 2, pi / 2)).surface
-    assert (sphere.control_points[0] == sphere.control_points[-1]).all()
+    assert sphere.periodic_u
+    assert not sphere.periodic_v
+    assert (sphere.control_points[:2] == sphere.control_points[-2:]).all()
+    torus = convert(Geom_ToroidalSurface(FRAME, 4, 1), (0, TURN, 1, 1 + TURN)).surface
+    assert torus.periodic_u
+    assert torus.periodic_v
+    assert not convert(Geom_CylindricalSurface(FRAME, 3), (0.3, 5, -1, 4)).surface.periodic_u
     assert (np.ptp(sphere.control_points[:, 0], axis=0) == 0).all()
 
 
