@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GeometryError
+from ..spline.basis import design_rows
 from ..spline.matrices import TransformationMatrices, breakpoints, span_lengths
 from ..spline.surface import BSplineSurface
 
@@ -16,8 +17,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-DENSER = 2
-"""A face that fills little of its surface gets at most this many times the rows that its resolution asks for."""
+WHOLE = 0.7
+"""A face that fills more than this part of its surface's domain has it cut evenly: nothing would be gained."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +64,7 @@ class PatchGrid:
         if min(rows, columns) < 2:
             raise GeometryError(f"a collision resolution of {min(rows, columns)}", mend="2 rows are one cell")
         for _ in range(4):
-            matrices = TransformationMatrices.of(surface, _cells(surface, 0, rows - 1), _cells(surface, 1, columns - 1))
+            matrices = _matrices(surface, (rows - 1, columns - 1))
             inside = _inside(surface, matrices)
             if inside is None or inside.any():
                 return cls._with(surface, matrices, None if inside is None or inside.all() else inside)
@@ -123,26 +124,54 @@ class PatchGrid:
         return self.matrices.shape
 
 
-def _cells(surface: BSplineSurface, axis: int, total: int) -> Index:
-    """Cells in each knot span: about `total` over the spans that the face reaches, by their length; one in each
-    other."""
+def _matrices(surface: BSplineSurface, cells: tuple[int, int]) -> TransformationMatrices:
+    """The transformation matrices with about this many cells along u and v over the face.
+
+    Where the face fills its surface, each knot span is cut evenly. Where it does not (a face cut out of a sheet that
+    runs on for kilometres), its window is, and what lies beyond gets one cell a span.
+    """
+    parts = []
+    for axis, (knots, degree) in enumerate(((surface.knots_u, surface.degree_u), (surface.knots_v, surface.degree_v))):
+        t, start = _rows(surface, axis, cells[axis])
+        count = len(knots) - degree - 1
+        first, rows = np.empty(len(t), dtype=np.int64), np.empty((3, len(t), degree + 1))
+        design_rows(np.array(knots), degree, count, t, 2, first, rows)
+        dense = np.zeros((2, len(t), count))
+        for k in range(2):
+            np.put_along_axis(dense[k], first[:, None] + np.arange(degree + 1), rows[k], axis=1)
+        parts.append((t, start, first, rows, dense))
+    (u, su, fu, ru, du), (v, sv, fv, rv, dv) = parts
+    return TransformationMatrices(u, v, du[0], dv[0], du[1], dv[1], fu, fv, ru, rv, su, sv)
+
+
+def _rows(surface: BSplineSurface, axis: int, total: int) -> tuple[Array, Index]:
+    """Parameters (m,) of the grid's rows along an axis, breakpoints among them, and the row where each span starts."""
     knots, degree = ((surface.knots_u, surface.degree_u), (surface.knots_v, surface.degree_v))[axis]
-    length = span_lengths(surface, axis)
-    share = np.ones(len(length))
+    b = breakpoints(knots, degree)
+    low, high = b[0], b[-1]
     if surface.trims is not None:
         from ..spline.trim import box
 
-        low, high = (corner[axis] for corner in box(surface.trims))
-        b = breakpoints(knots, degree)
-        share = np.clip((np.minimum(b[1:], high) - np.maximum(b[:-1], low)) / np.diff(b), 0.0, 1.0)
-        if not share.any():
-            share[:] = 1.0
-    reached = (length * share).sum()
-    density = total / reached if reached > 0 else 0.0
-    wanted = np.where(share > 0, length * density, 0.0)
-    if wanted.sum() > DENSER * total:
-        wanted *= DENSER * total / wanted.sum()
-    return np.maximum(1, np.rint(wanted).astype(np.int64))
+        face = [float(corner[axis]) for corner in box(surface.trims)]
+        # a row beyond either end, so that the face's edge runs through cells
+        beyond = (face[1] - face[0]) / total
+        low, high = max(low, face[0] - beyond), min(high, face[1] + beyond)
+        if not high > low or high - low > WHOLE * (b[-1] - b[0]):
+            low, high = b[0], b[-1]
+    reached = np.clip((np.minimum(b[1:], high) - np.maximum(b[:-1], low)) / np.diff(b), 0.0, 1.0)
+    length = span_lengths(surface, axis) * reached
+    wanted = length * (total / length.sum()) if length.sum() > 0 else total * reached / reached.sum()
+    pieces = []
+    for k, cells in enumerate(np.maximum(1, np.rint(wanted).astype(np.int64))):
+        start, end = max(b[k], low), min(b[k + 1], high)
+        inner = start + (end - start) * (np.arange(cells) / cells) if end > start else b[k : k + 1]
+        if start > b[k] and end > start:
+            inner = np.concatenate([b[k : k + 1], inner])
+        if b[k + 1] > end > start:
+            inner = np.concatenate([inner, [end]])
+        pieces.append(inner)
+    starts = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])])
+    return np.concatenate([*pieces, b[-1:]]), starts
 
 
 def _inside(surface: BSplineSurface, matrices: TransformationMatrices) -> Mask | None:

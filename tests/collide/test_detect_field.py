@@ -9,7 +9,7 @@ from cadsculpt.collide.contacts import Contacts
 from cadsculpt.collide.detect import Counters, DetectCache, DetectOptions, FieldTool, detect
 from cadsculpt.collide.grid import PatchGrid
 from cadsculpt.errors import GeometryError, InputError
-from cadsculpt.spline.surface import TrimCurve, TrimLoop
+from cadsculpt.spline.surface import BSplineSurface, TrimCurve, TrimLoop
 
 
 def _detect(grid, tool, options=None, **more):
@@ -311,3 +311,29 @@ def test_what_is_not_a_number_is_an_error_and_never_clear(shapes):
     for wrong in ({"margin": np.nan}, {"tolerance": -1.0}, {"mode": "fast"}, {"delta": np.inf}):
         with pytest.raises(InputError):
             DetectOptions(**wrong)
+
+
+def test_a_small_face_on_a_huge_surface_gets_its_rows(shapes):
+    """A face of 2 x 2 cut out of one span of 4000 x 10: the rows lie where the face is."""
+    line = np.array([0.0, 0, 1, 1])
+    net = np.array([[[x, y, 0.0] for y in (0.0, 10.0)] for x in (-2000.0, 2000.0)])
+    corners = [(0.5 + x / 4000, y / 10) for x, y in ((1, 4), (3, 4), (3, 6), (1, 6))]
+    loop = TrimLoop(
+        tuple(TrimCurve(np.array([a, b]), line, 1) for a, b in zip(corners, corners[1:] + corners[:1], strict=True))
+    )
+    sheet = BSplineSurface(net, line, line, 1, 1, trims=(loop,))
+    grid = PatchGrid.of(sheet, 41)
+    contacts = _detect(grid, shapes.Sphere([2, 5, 0.01], 50.0)).contacts
+    assert contacts.area.sum() == pytest.approx(4.0, rel=0.1)
+    assert 41**2 * 0.8 < len(contacts) < 41**2 * 1.3
+    assert len(_detect(grid, shapes.Sphere([4.0, 5, 0.01], 0.5)).contacts) == 0
+
+
+def test_rows_are_spread_over_the_spans_by_their_length(shapes):
+    sheet = shapes.plate(10.0, 9, 3)
+    grid = PatchGrid.of(sheet, (61, 31))
+    from cadsculpt.spline.matrices import TransformationMatrices, cells_per_span
+
+    plain = TransformationMatrices.of(sheet, cells_per_span(sheet, 0, 60), cells_per_span(sheet, 1, 30))
+    for name in ("u", "v", "A_u", "A_v", "dA_u", "rows_v", "first_u", "span_start_u", "span_start_v"):
+        assert np.array_equal(getattr(grid.matrices, name), getattr(plain, name))
