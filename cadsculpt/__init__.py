@@ -16,9 +16,16 @@ Every name below is imported when it is first used: `import cadsculpt` costs not
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 from ._version import __version__
+
+# An installed package holds the command line and the formats; a checkout has them beside this folder. Whoever runs
+# Python in a checkout gets this folder before the installed package, and would miss them.
+_HERE = os.path.dirname(os.path.abspath(__file__))
+if not os.path.isdir(os.path.join(_HERE, "formats")) and os.path.isfile(os.path.join(_HERE, "..", "formats", "part.py")):
+    __path__.append(os.path.dirname(_HERE))
 
 _HOMES = {
     "BSplineSurface": "cadsculpt.spline.surface",

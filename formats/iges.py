@@ -22,7 +22,7 @@ from ..errors import InputError
 from ..units import conversion, unit_name
 from .atomic import write_whole
 from .iges_entities import creased_surfaces, damaged_entities
-from .iges_records import IgesFile, parse, text_of
+from .iges_records import IgesFile, order_properties, parse, text_of
 from .occt import OcctPart
 from .occt_document import (
     METRES_PER_MM,
@@ -246,6 +246,7 @@ def _settled(file: IgesFile, name: str) -> IgesFile:
     """The kernel's file with shortest exact numbers and a header that tells no time and no person."""
     for entity in file.entities:
         entity.parameters = [step_real(float(p)) if _REAL.fullmatch(p) else p for p in entity.parameters]
+    order_properties(file)  # the kernel has them in the order of memory addresses
     system = f"cadsculpt {__version__}"
     header = {2: "cadsculpt part", 3: name, 4: system, 5: "Open CASCADE 8", 11: "", 20: "", 21: ""}
     for place, text in header.items():

@@ -185,3 +185,39 @@ def text_of(file: IgesFile) -> str:
     counts = (max(len(file.start), 1), len(header), 2 * len(file.entities), len(parameter_lines))
     put("".join(f"{letter}{count:>7}" for letter, count in zip("SGDP", counts, strict=True)), "T", 1)
     return "\n".join(out) + "\n"
+
+
+def order_properties(file: IgesFile) -> None:
+    """Put the properties (406) in the order of the entities that own them, and point the owners at their new places.
+
+    An owner's parameters end with the count of its properties and their places in the directory (section 2.2.4.5.2).
+    """
+    slots = [i for i, entity in enumerate(file.entities) if entity.type == 406]
+    pointers = {str(file.entities[i].pointer) for i in slots}
+    owned: dict[str, None] = {}
+    tails = []
+    for entity in file.entities:
+        count = _owned_properties(entity.parameters, pointers)
+        tails.append(count)
+        for token in entity.parameters[len(entity.parameters) - count :]:
+            owned.setdefault(token)
+    order = [*owned, *(str(file.entities[i].pointer) for i in slots if str(file.entities[i].pointer) not in owned)]
+    by_pointer = {str(file.entities[i].pointer): file.entities[i] for i in slots}
+    places = {token: str(file.entities[slot].pointer) for token, slot in zip(order, slots, strict=True)}
+    for entity, count in zip(file.entities, tails, strict=True):
+        first = len(entity.parameters) - count
+        entity.parameters[first:] = [places[token] for token in entity.parameters[first:]]
+    for token, slot in zip(order, slots, strict=True):
+        file.entities[slot] = by_pointer[token]
+    for token in order:
+        by_pointer[token].pointer = int(places[token])
+
+
+def _owned_properties(parameters: list[str], pointers: set[str]) -> int:
+    """How many of the last parameters are the owner's properties."""
+    count = 0
+    while count < len(parameters) - 1 and parameters[-count - 1] in pointers:
+        count += 1
+        if parameters[-count - 1] == str(count):
+            return count
+    return 0

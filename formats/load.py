@@ -71,9 +71,16 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
         return path, parts[path]
 
     bodies, faces = [], []
-    for spec in scene.model:
+    for index, spec in enumerate(scene.model):
         path, part = part_of(spec.file)
-        chosen = part.faces.select(spec.faces)
+        try:
+            chosen = part.faces.select(spec.faces)
+        except InputError as error:
+            raise InputError(
+                f"model {spec.name!r}: {path.name} has {error.what}",
+                where=scene.where("model", index, "faces"),
+                mend=error.mend,
+            ) from None
         taken = [face.name for face in chosen if (path, face.number) in faces]
         if taken:
             raise InputError(

@@ -18,7 +18,7 @@ from ..jit import njit
 from .grid import PatchGrid
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V, inside, newton
 from .spheres import make_spheres
-from .workspace import Patch, Workspace, grown
+from .workspace import Patch, Workspace, canonical, grown
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -31,7 +31,10 @@ NEAR_ENOUGH = 0.1
 
 SHEET = 1.5
 """A cell's middle is no farther than the closest point that it holds by more than its radius, at right angles: cells
-beyond (with this margin for their bulge) hold nothing nearer than what is found."""
+beyond (with this margin for their bulge) hold nothing nearer than what is found. On a border there need be no right angle."""
+
+ATTEMPTS = 5
+"""Newton starts at most this often for one point; nearly always once, from the point before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,8 +103,9 @@ def project(
     scratch = np.empty((9, max(g.degree_u, g.degree_v) + 4))
     h = np.empty((6, 4))
     c = np.empty(3)
-    table = np.empty((64, 8))
-    u, v = g.u, g.v
+    table = np.empty((64, 21))
+    u, v, grid_points = g.u, g.v, g.points
+    starts = np.empty(ATTEMPTS, np.int64)
     px, py, pz, last_u, last_v = 0.0, 0.0, 0.0, 0.0, 0.0
     for gi in range(len(group) - 1):
         lo, hi = group[gi], group[gi + 1]
@@ -170,50 +174,73 @@ def project(
                     count += 1
         if finals == 0:
             continue
-        # the candidates' middles, radii and (u, v) ranges, side by side
+        # the candidates' middles, radii, (u, v) ranges, corners, and whether they lie on a border
         while len(table) < finals:
-            table = np.empty((2 * len(table), 8))
+            table = np.empty((2 * len(table), 21))
         for t in range(finals):
             level, ku, kv = final[t, 0], final[t, 1], final[t, 2]
             at = offset[level] + ku * tally[level, 1] + kv
             for a in range(3):
                 table[t, a] = spheres[at, a]
-            table[t, 3] = spheres[at, 3] * spheres[at, 3]
+            table[t, 3] = spheres[at, 3]
+            border_u = not g.wrap_u and (ku == 0 or ku == tally[level, 0] - 1)
+            border_v = not g.wrap_v and (kv == 0 or kv == tally[level, 1] - 1)
+            table[t, 20] = border_u or border_v
             table[t, 4], table[t, 5] = u[row_u[level, ku]], u[row_u[level, ku + 1]]
             table[t, 6], table[t, 7] = v[row_v[level, kv]], v[row_v[level, kv + 1]]
+            for e in range(4):
+                i, j = row_u[level, ku + (e & 1)], row_v[level, kv + (e >> 1)]
+                k = canonical(i, j, len(u), len(v), g.wrap_u, g.wrap_v, g.poles)
+                for a in range(3):
+                    table[t, 8 + 3 * e + a] = grid_points[k, a]
         warm = False
         for i in range(lo, hi):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             reached = np.inf
-            for attempt in range(3):
-                started = False
+            for attempt in range(ATTEMPTS):
+                chosen = -1
                 if attempt == 0:
                     # from the closest point of the one before in the group, by its tangents
-                    if warm:
-                        du, dv = along(h, x - px, y - py, z - pz)
-                        found[U] = inside(found[U] + du, u[0], u[len(u) - 1], g.wrap_u)
-                        found[V] = inside(found[V] + dv, v[0], v[len(v) - 1], g.wrap_v)
-                        started = True
+                    if not warm:
+                        continue
+                    du, dv = along(h, x - px, y - py, z - pz)
+                    found[U] = inside(found[U] + du, u[0], u[len(u) - 1], g.wrap_u)
+                    found[V] = inside(found[V] + dv, v[0], v[len(v) - 1], g.wrap_v)
                 else:
-                    # from the nearest cell that may hold something nearer, unless Newton came out of it or a neighbour
+                    # from the nearest cell that may hold something nearer: not the one in which Newton came out, nor a
+                    # neighbour of that without a point that is nearer
                     nearest = np.inf
                     for t in range(finals):
                         dx, dy, dz = table[t, 0] - x, table[t, 1] - y, table[t, 2] - z
                         d2 = dx * dx + dy * dy + dz * dz
-                        if d2 < nearest and d2 <= reached * reached + SHEET * table[t, 3]:
-                            wu, wv = table[t, 5] - table[t, 4], table[t, 7] - table[t, 6]
-                            if reached < np.inf and (
-                                last_u >= table[t, 4] - wu and last_u <= table[t, 5] + wu
-                                and last_v >= table[t, 6] - wv and last_v <= table[t, 7] + wv
-                            ):  # fmt: skip
+                        reach2 = reached * reached + SHEET * table[t, 3] * table[t, 3]
+                        if table[t, 20] != 0.0:
+                            reach2 = (reached + table[t, 3]) * (reached + table[t, 3])
+                        if d2 > reach2:
+                            continue
+                        tried = False
+                        for a in range(1, attempt):
+                            tried = tried or starts[a] == t
+                        if tried:
+                            continue
+                        out_u = max(table[t, 4] - last_u, last_u - table[t, 5]) / (table[t, 5] - table[t, 4])
+                        out_v = max(table[t, 6] - last_v, last_v - table[t, 7]) / (table[t, 7] - table[t, 6])
+                        if reached < np.inf and out_u <= 1.0 and out_v <= 1.0:
+                            d2 = np.inf
+                            for e in range(8, 20, 3):
+                                dx, dy, dz = table[t, e] - x, table[t, e + 1] - y, table[t, e + 2] - z
+                                d2 = min(d2, dx * dx + dy * dy + dz * dz)
+                            if d2 >= reached * reached:
                                 continue
-                            nearest = d2
-                            found[U], found[V] = 0.5 * (table[t, 4] + table[t, 5]), 0.5 * (table[t, 6] + table[t, 7])
-                            started = True
-                    if not started:
+                        if d2 < nearest:
+                            nearest, chosen = d2, t
+                    if chosen < 0:
                         break
-                if not started:
-                    continue
+                    found[U], found[V] = (
+                        0.5 * (table[chosen, 4] + table[chosen, 5]),
+                        0.5 * (table[chosen, 6] + table[chosen, 7]),
+                    )
+                starts[attempt] = chosen
                 kind = newton(
                     g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.poles,
                     g.slack, g.flip * beyond, x, y, z, found, h, scratch,

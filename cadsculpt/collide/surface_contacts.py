@@ -45,21 +45,14 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
         cells: list[Index] = []
         culled = True
         for k in np.flatnonzero(meets).tolist():
-            other, h = run.load((index, k), tool.grids[k], tool.nets[k])
-            felt = reach if other.closed else hold
-            spans = _span_pairs(run, (face, index, k), work, g, other, h, felt)
-            if spans is None:
-                continue
-            culled = False
-            if not len(spans):
-                continue
-            tolerance = 0.0 if run.paper else run.options.tolerance
-            mine, its, pairs = levels.traverse(work, other, spans, felt, tolerance)
-            if not len(pairs):
-                continue
-            left, found = _crossings(run, (face, index, k), work, other, mine, its, pairs, felt)
-            cells.append(left)
-            crossings += found
+            other, _ = run.load((index, k), tool.grids[k], tool.nets[k])
+            for felt in (reach,) if other.closed or run.paper else (reach, hold):
+                left, found = _near_cells(run, (face, index, k), work, other, felt)
+                culled = culled and left is None
+                if left is not None and len(left):
+                    cells.append(left)
+                    crossings += found
+                    break
         if culled and (len(tool.nets) == 1 or _whole_hull_apart(run, face, index, g, tool)):
             continue
         solid = _Solid(
@@ -71,6 +64,21 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
         )
         contacts += _closest_contacts(run, index, face, solid, work, cells)
     return contacts, crossings
+
+
+def _near_cells(
+    run: Run, key: tuple[int, int, int], work: Workspace, other: Workspace, reach: float
+) -> tuple[Index | None, list[Crossings]]:
+    """The model's cells that come within `reach` of one patch of the tool, and the triangles that cross; None for the
+    cells when the hulls are apart."""
+    spans = _span_pairs(run, key, work, work.patch, other, other.patch, reach)
+    if spans is None:
+        return None, []
+    tolerance = 0.0 if run.paper else run.options.tolerance
+    mine, its, pairs = levels.traverse(work, other, spans, reach, tolerance)
+    if not len(pairs):
+        return mine, []
+    return _crossings(run, key, work, other, mine, its, pairs, reach)
 
 
 def _span_pairs(

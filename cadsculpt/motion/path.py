@@ -228,7 +228,7 @@ def rotation_to_axis(axis: Array) -> Array:
     """The smallest rotation (3, 3) that turns z to `axis` (3,); about x where the axis is -z."""
     x, y, z = axis / np.linalg.norm(axis)
     across = float(np.hypot(x, y))
-    if across == 0.0:
+    if across < 1e-150:  # and its square is no number any more
         return np.eye(3) if z > 0.0 else np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
     return rotation_of(np.array([-y, x, 0.0]) / across * np.arctan2(across, z))
 

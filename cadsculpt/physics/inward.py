@@ -26,8 +26,8 @@ def inward_directions(
 ) -> Array:
     """Unit directions into the material (nu, nv, 3) for surface nodes (nu, nv, 3) with outward normals, NaN where none.
 
-    The normals themselves where the lattice stands on them. When no smoothing helps the smoothest directions are returned,
-    and building the lattice says where it folds.
+    The normals themselves where the lattice stands on them, and where no smoothing helps: building the lattice then says
+    where it folds, and which thickness would do.
     """
     inward = -_filled(points, normals, wrap)
     columns = np.ones((len(u) - (not wrap[0]), len(v) - (not wrap[1])), dtype=np.bool_)
@@ -38,8 +38,8 @@ def inward_directions(
         except InputError:
             smooth = _smoothed(points, inward, 0.5 * thickness * 2.0**attempt, wrap)
         else:
-            break
-    return smooth
+            return smooth
+    return inward
 
 
 def _filled(points: Array, normals: Array, wrap: tuple[bool, bool]) -> Array:

@@ -221,7 +221,7 @@ def test_ticks_are_round_few_and_inside(low: float, span: float, most: int) -> N
     high = low + span
     ticks = round_ticks(low, high, most)
     assert len(ticks) <= most + 1
-    slack = 1e-6 * (high - low)
+    slack = 1e-6 * (high - low) + 4e-16 * max(abs(low), abs(high))
     assert all(low - slack <= tick <= high + slack for tick in ticks)
     steps = np.diff(ticks)
     if len(steps):

@@ -42,6 +42,8 @@ def test_curved_trimmed_step_faces_keep_their_trims(corpus: Path, tmp_path: Path
     left = [face.surface.control_points for face in back.faces]
     for face in part.faces:
         net = face.surface.control_points
+        if face.surface.periodic_u or face.surface.periodic_v:  # 3DM has no periodic rational nets: clamped there
+            continue
         place = next(i for i, n in enumerate(left) if n.shape == net.shape and np.abs(n - net).max() <= 1e-9)
         left.pop(place)
 
