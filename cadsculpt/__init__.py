@@ -24,7 +24,9 @@ from ._version import __version__
 # An installed package holds the command line and the formats; a checkout has them beside this folder. Whoever runs
 # Python in a checkout gets this folder before the installed package, and would miss them.
 _HERE = os.path.dirname(os.path.abspath(__file__))
-if not os.path.isdir(os.path.join(_HERE, "formats")) and os.path.isfile(os.path.join(_HERE, "..", "formats", "part.py")):
+if not os.path.isdir(os.path.join(_HERE, "formats")) and os.path.isfile(
+    os.path.join(_HERE, "..", "formats", "part.py")
+):
     __path__.append(os.path.dirname(_HERE))
 
 _HOMES = {

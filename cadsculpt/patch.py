@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.detect import PatchGrid
-from .errors import InputError
 from .physics.explicit import stable_substep
 from .physics.forces import contact_damping, contact_stiffness
 from .physics.inward import inward_directions

@@ -95,7 +95,13 @@ class Faces(Sequence[Face]):
             return self._by_name[name]
         close = get_close_matches(name, self._by_name, n=3, cutoff=0.5)
         known = ", ".join(list(self._by_name)[:6]) + (", ..." if len(self._by_name) > 6 else "")
-        mend = f"did you mean {' or '.join(close)}?" if close else f"its {len(self)} faces are {known}" if len(self) else ""
+        mend = (
+            f"did you mean {' or '.join(close)}?"
+            if close
+            else f"its {len(self)} faces are {known}"
+            if len(self)
+            else ""
+        )
         raise InputError(f"no face named {name!r}", where=self._where, mend=mend or "the part has no faces")
 
     def number(self, number: int) -> Face:

@@ -207,39 +207,35 @@ def project(
                     found[U] = inside(found[U] + du, u[0], u[len(u) - 1], g.wrap_u)
                     found[V] = inside(found[V] + dv, v[0], v[len(v) - 1], g.wrap_v)
                 else:
-                    # from the nearest cell that may hold something nearer: not the one in which Newton came out, nor a
-                    # neighbour of that without a point that is nearer
+                    # from the nearest cell that may hold something nearer; of cells tried already, or beside the one in
+                    # which Newton came out, only from a corner that is nearer
                     nearest = np.inf
                     for t in range(finals):
                         dx, dy, dz = table[t, 0] - x, table[t, 1] - y, table[t, 2] - z
                         d2 = dx * dx + dy * dy + dz * dz
-                        reach2 = reached * reached + SHEET * table[t, 3] * table[t, 3]
-                        if table[t, 20] != 0.0:
-                            reach2 = (reached + table[t, 3]) * (reached + table[t, 3])
-                        if d2 > reach2:
-                            continue
-                        tried = False
-                        for a in range(1, attempt):
-                            tried = tried or starts[a] == t
-                        if tried:
+                        r2, border = table[t, 3] * table[t, 3], table[t, 20] != 0.0
+                        if d2 > (reached * reached + SHEET * r2 if not border else (reached + table[t, 3]) ** 2):
                             continue
                         out_u = max(table[t, 4] - last_u, last_u - table[t, 5]) / (table[t, 5] - table[t, 4])
                         out_v = max(table[t, 6] - last_v, last_v - table[t, 7]) / (table[t, 7] - table[t, 6])
-                        if reached < np.inf and out_u <= 1.0 and out_v <= 1.0:
+                        known = reached < np.inf and out_u <= 1.0 and out_v <= 1.0
+                        for a in range(1, attempt):
+                            known = known or starts[a] == t
+                        start_u, start_v = 0.5 * (table[t, 4] + table[t, 5]), 0.5 * (table[t, 6] + table[t, 7])
+                        if known or border:
                             d2 = np.inf
-                            for e in range(8, 20, 3):
-                                dx, dy, dz = table[t, e] - x, table[t, e + 1] - y, table[t, e + 2] - z
-                                d2 = min(d2, dx * dx + dy * dy + dz * dz)
-                            if d2 >= reached * reached:
+                            for e in range(4):
+                                dx, dy, dz = table[t, 8 + 3 * e] - x, table[t, 9 + 3 * e] - y, table[t, 10 + 3 * e] - z
+                                if dx * dx + dy * dy + dz * dz < d2:
+                                    d2 = dx * dx + dy * dy + dz * dz
+                                    start_u, start_v = table[t, 4 + (e & 1)], table[t, 6 + (e >> 1)]
+                            if d2 >= reached * reached + (0.0 if known else r2):
                                 continue
                         if d2 < nearest:
                             nearest, chosen = d2, t
+                            found[U], found[V] = start_u, start_v
                     if chosen < 0:
                         break
-                    found[U], found[V] = (
-                        0.5 * (table[chosen, 4] + table[chosen, 5]),
-                        0.5 * (table[chosen, 6] + table[chosen, 7]),
-                    )
                 starts[attempt] = chosen
                 kind = newton(
                     g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.poles,

@@ -44,7 +44,7 @@ def inward_directions(
 
 def _filled(points: Array, normals: Array, wrap: tuple[bool, bool]) -> Array:
     """The normals, with those that are missing taken from their neighbours."""
-    missing = ~np.isfinite(normals).all(axis=2)
+    missing = np.asarray(~np.isfinite(normals).all(axis=2))
     if not missing.any():
         return normals
     known = np.where(missing[..., None], 0.0, normals)

@@ -84,14 +84,37 @@ def test_tokens_know_strings_and_delimiters():
     assert tokens("1/2/3#", "/", "#") == ["1", "2", "3"]
 
 
-@given(st.lists(st.one_of(st.integers(-(10**9), 10**9).map(str), st.text("AB,;H0 ", max_size=90)), min_size=1, max_size=60))
+@given(
+    st.lists(st.one_of(st.integers(-(10**9), 10**9).map(str), st.text("AB,;H0 ", max_size=90)), min_size=1, max_size=60)
+)
 @settings(max_examples=60, deadline=None)
 def test_records_come_back(parameters):
     strings = [p if re.fullmatch(r"-?\d+", p) else f"{len(p)}H{p}" for p in parameters]
     file = IgesFile(start=["start"], header=["1H,", "1H;", "4Hname"], complete=True)
     from cadsculpt.formats.iges_records import Entity
 
-    fields = ["402", "1", "0", "0", "0", "0", "0", "0", "00000000", "", "402", "0", "0", "1", "7", "", "", "LABEL", "3", ""]
+    fields = [
+        "402",
+        "1",
+        "0",
+        "0",
+        "0",
+        "0",
+        "0",
+        "0",
+        "00000000",
+        "",
+        "402",
+        "0",
+        "0",
+        "1",
+        "7",
+        "",
+        "",
+        "LABEL",
+        "3",
+        "",
+    ]
     file.entities = [Entity(1, fields, ["402", *strings]), Entity(3, list(fields), ["402", "5"])]
     text = text_of(file)
     assert all(len(line) == 80 for line in text.splitlines())
@@ -102,7 +125,9 @@ def test_records_come_back(parameters):
     assert again.header == file.header
 
 
-@pytest.mark.parametrize(("text", "value"), [("1.5D-3", 1.5e-3), ("1.E2", 100.0), ("", 0.0), ("7", 7.0), ("nan", None), ("x", None)])
+@pytest.mark.parametrize(
+    ("text", "value"), [("1.5D-3", 1.5e-3), ("1.E2", 100.0), ("", 0.0), ("7", 7.0), ("nan", None), ("x", None)]
+)
 def test_numbers_as_iges_writes_them(text, value):
     assert number(text) == value
 
@@ -136,7 +161,9 @@ def test_the_units_can_be_overruled(tmp_path):
     sample_part().write(tmp_path / "a.igs", "iges")
     part = iges.read(tmp_path / "a.igs", units="in")
     assert part.units == "in"
-    np.testing.assert_allclose(part.faces[0].surface.control_points, 25.4 * wave().control_points, rtol=1e-14, atol=1e-12)
+    np.testing.assert_allclose(
+        part.faces[0].surface.control_points, 25.4 * wave().control_points, rtol=1e-14, atol=1e-12
+    )
 
 
 def test_the_text_is_the_net(sound):
@@ -274,7 +301,14 @@ def test_damage_is_seen_in_the_records(sound):
 
 # ------------------------------------------------------------------- real files
 
-FEW = ["BUC50025.igs", "PRO20359-L5.igs", "OCC8842_cone_CATIA.igs", "cube_10x10mm.igs", "bug22566_test_Bad.igs", "surf114.igs"]
+FEW = [
+    "BUC50025.igs",
+    "PRO20359-L5.igs",
+    "OCC8842_cone_CATIA.igs",
+    "cube_10x10mm.igs",
+    "bug22566_test_Bad.igs",
+    "surf114.igs",
+]
 CROWDED = {"c172.igs": 6, "sweep.igs": 4, "as_wing.igs": 4, "wing.igs": 4}
 
 

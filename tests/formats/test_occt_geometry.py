@@ -91,7 +91,9 @@ SURFACES = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "geom", "bounds", "tolerance"), SURFACES, ids=[f"{k}{i}" for i, (k, *_) in enumerate(SURFACES)])
+@pytest.mark.parametrize(
+    ("kind", "geom", "bounds", "tolerance"), SURFACES, ids=[f"{k}{i}" for i, (k, *_) in enumerate(SURFACES)]
+)
 def test_conversion_equals_the_kernel_point_by_point(kind, geom, bounds, tolerance):
     placement = gp_Trsf()
     placement.SetRotation(gp_Ax1(gp_Pnt(1, 1, 1), gp_Dir(1, 1, 0)), 0.7)

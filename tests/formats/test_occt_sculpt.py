@@ -237,9 +237,7 @@ def test_one_shape_cannot_take_two_dents():
 
 def test_a_surface_shared_by_two_faces_is_parted_first():
     """Two faces on one surface of the kernel: only the sculpted one changes."""
-    left, right = (
-        replace(panel(), trims=(TrimLoop(tuple(_side(u0, u1))),)) for u0, u1 in ((0.2, 1.4), (1.6, 2.8))
-    )
+    left, right = (replace(panel(), trims=(TrimLoop(tuple(_side(u0, u1))),)) for u0, u1 in ((0.2, 1.4), (1.6, 2.8)))
     a, b = shape_of_surface(left), shape_of_surface(right)
     geom, here = BRep_Tool.Surface_s(a), TopLoc_Location()
     builder = BRep_Builder()

@@ -17,7 +17,12 @@ pytest.importorskip("OCP")
 from OCP.BRep import BRep_Tool
 from OCP.BRepCheck import BRepCheck_Analyzer
 from OCP.BRepGProp import BRepGProp
-from OCP.Geom import Geom_CylindricalSurface, Geom_RectangularTrimmedSurface, Geom_SphericalSurface, Geom_ToroidalSurface
+from OCP.Geom import (
+    Geom_CylindricalSurface,
+    Geom_RectangularTrimmedSurface,
+    Geom_SphericalSurface,
+    Geom_ToroidalSurface,
+)
 from OCP.Geom2d import Geom2d_Circle, Geom2d_Line
 from OCP.GeomConvert import GeomConvert
 from OCP.gp import gp_Ax2d, gp_Ax3, gp_Dir2d, gp_Pnt2d

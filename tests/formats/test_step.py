@@ -155,9 +155,7 @@ def test_colours_are_kept(tmp_path):
     sample_part().write(tmp_path / "a.step", "step")
     again = step.read(tmp_path / "a.step")
     tool = XCAFDoc_DocumentTool.ColorTool_s(again.document.Main())
-    assert all(
-        tool.IsSet(again.face(face.number).shape, XCAFDoc_ColorType.XCAFDoc_ColorSurf) for face in again.faces
-    )
+    assert all(tool.IsSet(again.face(face.number).shape, XCAFDoc_ColorType.XCAFDoc_ColorSurf) for face in again.faces)
 
 
 @pytest.mark.parametrize("schema", ["AP203", "AP214IS", "AP242DIS"])
@@ -216,7 +214,15 @@ def test_nothing_is_printed(capfd, tmp_path):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.0, "0."), (1.0, "1."), (-2.5, "-2.5"), (1e-7, "1.E-07"), (1.5e-300, "1.5E-300"), (1e22, "1.E+22"), (0.1, "0.1")],
+    [
+        (0.0, "0."),
+        (1.0, "1."),
+        (-2.5, "-2.5"),
+        (1e-7, "1.E-07"),
+        (1.5e-300, "1.5E-300"),
+        (1e22, "1.E+22"),
+        (0.1, "0.1"),
+    ],
 )
 def test_numbers_are_the_shortest_that_read_back(value, text):
     assert step_real(value) == text
@@ -317,7 +323,14 @@ def test_a_folder_that_is_not_there_leaves_nothing(tmp_path):
 
 # ------------------------------------------------------------------- real files
 
-FEW = ["trj7_c2-al-214.stp", "trj6_c1-id-214.stp", "bug22821_test.step", "trj9_io1-id-214.stp", "as1_pe_203.stp", "cube-m.step"]
+FEW = [
+    "trj7_c2-al-214.stp",
+    "trj6_c1-id-214.stp",
+    "bug22821_test.step",
+    "trj9_io1-id-214.stp",
+    "as1_pe_203.stp",
+    "cube-m.step",
+]
 
 
 def readings(corpus: Path, folder: str) -> dict[str, tuple[int, float]]:
@@ -347,7 +360,9 @@ def check_reading(path: Path, part: OcctPart, faces: int, area: float) -> None:
         new_v = v if made.map_v is None else made.map_v(v)[:, 0]
         allowed = 1e-10 if made.note else 1e-12
         scale = np.abs(surface.control_points).max()
-        np.testing.assert_allclose(surface.evaluate(new_u, new_v), truth, rtol=0, atol=allowed * scale, err_msg=face.name)
+        np.testing.assert_allclose(
+            surface.evaluate(new_u, new_v), truth, rtol=0, atol=allowed * scale, err_msg=face.name
+        )
     told = any("area" in line for line in part.warnings)
     assert told or total == pytest.approx(area, rel=1e-3), path.name
 
