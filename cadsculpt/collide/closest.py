@@ -33,8 +33,9 @@ SHEET = 1.5
 """A cell's middle is no farther than the closest point that it holds by more than its radius, at right angles: cells
 beyond (with this margin for their bulge) hold nothing nearer than what is found. On a border there need be no right angle."""
 
-ATTEMPTS = 5
-"""Newton starts at most this often for one point; nearly always once, from the point before."""
+ATTEMPTS = 10
+"""Newton starts at most this often for one point: nearly always once, from the point before; often only near a centre of
+curvature, where much of the surface is equally near."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +100,7 @@ def project(
     for k in range(spans):
         here[k, 0], here[k, 1], here[k, 2] = 0, k // across, k % across
     make_spheres(g, here, spans)
-    found = np.empty(9)
+    found, mine, best_kind = np.empty(9), np.empty(9), PROPER
     scratch = np.empty((9, max(g.degree_u, g.degree_v) + 4))
     h = np.empty((6, 4))
     c = np.empty(3)
@@ -241,12 +242,16 @@ def project(
                     g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.poles,
                     g.slack, g.flip * beyond, x, y, z, found, h, scratch,
                 )  # fmt: skip
-                for a in range(3):
-                    found[NORMAL + a] *= g.flip
-                merge(found, kind, patch, tie, i, best, state, owner)
                 warm, px, py, pz = True, x, y, z
                 if found[DISTANCE] < reached:
-                    reached, last_u, last_v = found[DISTANCE], found[U], found[V]
+                    reached, last_u, last_v, best_kind = found[DISTANCE], found[U], found[V], kind
+                    for a in range(9):
+                        mine[a] = found[a]
+            # once for this patch, however often Newton came to the same point
+            if reached < np.inf:
+                for a in range(3):
+                    mine[NORMAL + a] *= g.flip
+                merge(mine, best_kind, patch, tie, i, best, state, owner)
 
 
 @njit

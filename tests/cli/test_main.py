@@ -19,7 +19,7 @@ from cadsculpt.cli import main as cli_main
 from cadsculpt.cli.main import COMMANDS, explain, run
 from cadsculpt.errors import InputError, SceneError, SimulationError
 
-ROOT = Path(cadsculpt.__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 HEAVY = {"numba", "numpy", "scipy", "vtk", "vtkmodules", "pyvista", "OCP", "rhino3dm", "pydantic", "rich", "jinja2"}
 
 LOADED = """
