@@ -58,7 +58,7 @@ def evaluate(model: Model, history: History, summary: Summary) -> tuple[Expectat
 
 
 def _evaluate(spec: ExpectSpec, model: Model, history: History, summary: Summary) -> Expectation:
-    body, tool = _pair(spec, model)
+    body, tool = pair_indices(spec, model)
     measured: float | str | None
     match spec.what:
         case "verdict":
@@ -111,7 +111,7 @@ def _holds(spec: ExpectSpec, measured: float | str | None) -> bool:
     return isinstance(spec.equals, (int, float)) and abs(measured - spec.equals) <= (spec.tolerance or 0.0)
 
 
-def _pair(spec: ExpectSpec, model: Model) -> tuple[int | None, int | None]:
+def pair_indices(spec: ExpectSpec, model: Model) -> tuple[int | None, int | None]:
     """Indices of the body and the tool of a pair, whichever way round the scene names them."""
     if spec.pair is None:
         return None, None

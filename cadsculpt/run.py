@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .collide.distance import sampled_distance
 from .errors import InputError, SimulationError
-from .expect import Expectation, evaluate
+from .expect import Expectation, evaluate, pair_indices
 from .frames import FrameMaker
 from .history import History, Summary
 from .model import Model
@@ -66,14 +66,10 @@ class _Clearance:
     @classmethod
     def of(cls, model: Model) -> _Clearance:
         wanted = np.zeros((len(model.bodies), len(model.tools)), dtype=np.bool_)
-        names = [tool.name for tool in model.tools]
         for spec in model.scene.expect:
-            if spec.what == "clearance" and spec.pair is None:
-                wanted[:] = True
-            elif spec.what == "clearance" and spec.pair is not None:
-                first, second = spec.pair
-                body, tool = (second, first) if first in names else (first, second)
-                wanted[model.bodies.index(body), names.index(tool)] = True
+            if spec.what == "clearance":
+                body, tool = pair_indices(spec, model)
+                wanted[slice(None) if body is None else body, slice(None) if tool is None else tool] = True
         return cls(wanted)
 
     def measure(self, session: Session) -> Array:
