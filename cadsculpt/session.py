@@ -24,7 +24,6 @@ from .spline.refit import RefitError
 from .spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 _LATTICE_STATE = ("x", "velocity", "rest_length")
@@ -124,7 +123,7 @@ class Session:
         reactions = self._reactions(contacts, forces, depths, before, after)
         state.poses, state.time, state.step = after, state.time + dt, state.step + 1
         acting = (depths > 0) | (forces != 0).any(axis=1)
-        self.contacts, self.forces, self.depths = _chosen(contacts, acting), forces[acting], depths[acting]
+        self.contacts, self.forces, self.depths = contacts.chosen(acting), forces[acting], depths[acting]
         return reactions
 
     def detect(self, poses: list[Pose] | None = None, margin: float = 0.0) -> Detection:
@@ -145,7 +144,7 @@ class Session:
                 cache=self._caches[body],
             )
             self.counters.add(found.counters)
-            parts.append((_renumbered(found.contacts, np.array(index, dtype=np.int64)), found))
+            parts.append((found.contacts.with_faces(np.array(index, dtype=np.int64)), found))
         if len(parts) == 1:
             return Detection(parts[0][0], parts[0][1].counters)
         return Detection(Contacts.joined([contacts for contacts, _ in parts]), parts[-1][1].counters)
@@ -295,18 +294,3 @@ def _tool_velocities(contacts: Contacts, before: list[Pose], after: list[Pose], 
         mine = contacts.b == index
         velocity[mine] = (b.to_world(a.to_tool(contacts.point[mine])) - contacts.point[mine]) / dt
     return velocity
-
-
-def _renumbered(contacts: Contacts, patches: NDArray[np.int64]) -> Contacts:
-    """Faces numbered in the model's list of patches instead of the body's own."""
-    return Contacts(
-        contacts.a, contacts.b, patches[contacts.face], contacts.u, contacts.v, contacts.point, contacts.normal,
-        contacts.depth, contacts.area, contacts.tool_point,
-    )  # fmt: skip
-
-
-def _chosen(contacts: Contacts, mask: Mask) -> Contacts:
-    return Contacts(
-        contacts.a[mask], contacts.b[mask], contacts.face[mask], contacts.u[mask], contacts.v[mask], contacts.point[mask],
-        contacts.normal[mask], contacts.depth[mask], contacts.area[mask], contacts.tool_point[mask],
-    )  # fmt: skip

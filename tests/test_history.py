@@ -15,7 +15,7 @@ def contacts(a: list[int], b: list[int], depth: list[float], area: list[float]) 
     points = np.zeros((n, 3))
     return Contacts(
         np.array(a), np.array(b), np.zeros(n, np.int64), np.arange(n) * 1.0, np.zeros(n), points, points,
-        np.array(depth), np.array(area), points,
+        np.array(depth), np.array(area), points, np.full(n, -1), np.full(n, np.nan), np.full(n, np.nan),
     )  # fmt: skip
 
 

@@ -205,18 +205,33 @@ class Run:
         return np.flatnonzero(meets.all(axis=1))
 
     def rows(
-        self, tool: int, face: int, uv: Array, point: Array, normal: Array, depth: Array, area: Array, tool_point: Array
+        self,
+        tool: int,
+        face: int,
+        uv: Array,
+        point: Array,
+        normal: Array,
+        depth: Array,
+        area: Array,
+        tool_point: Array,
+        on_tool: tuple[Index, Array] | None = None,
     ) -> Contacts:
-        """Contacts of one patch with one tool: those with depth >= -margin. NaN is an error, not "clear"."""
+        """Contacts of one patch with one tool: those with depth >= -margin. NaN is an error, not "clear".
+
+        on_tool : for a tool of patches, the patch (n,) and the parameters (n, 2) of each tool_point.
+        """
+        if on_tool is None:
+            on_tool = np.full(len(depth), -1, dtype=np.int64), np.full((len(depth), 2), np.nan)
+        tool_face, tool_uv = on_tool
         if np.isnan(depth).any():
             raise InputError("a distance to the tool is not a number", where=f"tool {tool}")
         keep = depth >= -self.options.margin
         if not keep.all():
             uv, point, normal, tool_point = uv[keep], point[keep], normal[keep], tool_point[keep]
-            depth, area = depth[keep], area[keep]
+            depth, area, tool_face, tool_uv = depth[keep], area[keep], tool_face[keep], tool_uv[keep]
         a, b, c = (np.full(len(depth), value, dtype=np.int64) for value in (self.body, tool, face))
-        u, v = np.ascontiguousarray(uv[:, 0]), np.ascontiguousarray(uv[:, 1])
-        return Contacts(a, b, c, u, v, point, normal, depth, area, tool_point)
+        u, v, tool_u, tool_v = (np.ascontiguousarray(x) for x in (uv[:, 0], uv[:, 1], tool_uv[:, 0], tool_uv[:, 1]))
+        return Contacts(a, b, c, u, v, point, normal, depth, area, tool_point, tool_face, tool_u, tool_v)
 
 
 def extents_of(nets: Sequence[Array], whose: str) -> Array:

@@ -188,7 +188,7 @@ def _closest_contacts(
     if len(touching):
         uv, points, area = quadrature.vertex_rows(g, names[touching])
         touch = nearest.chosen(touching)
-        parts.append(run.rows(index, face, uv, points, -touch.normal, touch.depth, area, touch.point))
+        parts.append(_rows(run, index, face, uv, points, area, touch))
     if run.paper or not cells:
         return parts
     left = quadrature.unresolved(g, np.concatenate(cells), margin, names, -nearest.gap, work.new_mark())
@@ -202,8 +202,14 @@ def _closest_contacts(
         if on.any():
             uv, points, area = uv[on], points[on], area[on]
             touch = _nearest(solid, points, np.arange(len(points) + 1))
-            parts.append(run.rows(index, face, uv, points, -touch.normal, touch.depth, area, touch.point))
+            parts.append(_rows(run, index, face, uv, points, area, touch))
     return parts
+
+
+def _rows(run: Run, index: int, face: int, uv: Array, points: Array, area: Array, touch: _Nearest) -> Contacts:
+    return run.rows(
+        index, face, uv, points, -touch.normal, touch.depth, area, touch.point, (touch.patch, touch.parameters)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,12 +228,14 @@ class _Solid:
 class _Nearest:
     """Closest points of a tool to n points: depth (n,), positive inside, -inf where the tool is open there and says
     nothing; gap (n,), the signed distance, and where it says nothing the distance, above the margin; unit outward
-    normal (n, 3) and the point (n, 3)."""
+    normal (n, 3); the point (n, 3), its patch (n,) and its parameters (n, 2) there."""
 
     depth: Array
     gap: Array
     normal: Array
     point: Array
+    patch: Index
+    parameters: Array
 
     def chosen(self, which: Mask | Index) -> _Nearest:
         return _Nearest(*(getattr(self, f.name)[which] for f in fields(self)))
@@ -277,4 +285,4 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
             sided[mine[~on_face(grid, best[mine][:, [U, V]])]] = False
     depth = np.where(sided, -side * distance, -np.inf)
     gap = np.where(sided, side * distance, np.maximum(distance, (1 + 1e-9) * solid.margin + 1e-300))
-    return _Nearest(depth, gap, normal, best[:, POINT : POINT + 3])
+    return _Nearest(depth, gap, normal, best[:, POINT : POINT + 3], owner, best[:, [U, V]])

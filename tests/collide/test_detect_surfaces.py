@@ -91,6 +91,19 @@ def test_a_cube_of_six_patches_is_one_solid(shapes, height):
         )
 
 
+def test_both_sides_parameters_lead_to_the_contact(shapes):
+    """(u, v) on the model gives the point, (u, v) on the tool's patch the tool's point, the same to rounding."""
+    grid = PatchGrid.of(shapes.plate(14.0, 7, 3, height=lambda x, y: 0.3 * np.sin(x)), 41)
+    centre = grid.surface.evaluate(0.5, 0.5) + [0.02, -0.013, 2.0]
+    balls = [shapes.ball(3.0, centre), shapes.ball(1.5, centre + [3.5, 0.0, -1.0])]
+    contacts = _detect(grid, _tool(balls, 21), DetectOptions(margin=0.1)).contacts
+    assert set(contacts.tool_face) == {0, 1}
+    assert grid.surface.evaluate(contacts.u, contacts.v) == pytest.approx(contacts.point, abs=1e-12)
+    for k, ball in enumerate(balls):
+        mine = contacts.chosen(contacts.tool_face == k)
+        assert ball.evaluate(mine.tool_u, mine.tool_v) == pytest.approx(mine.tool_point, abs=1e-12)
+
+
 def test_a_model_wholly_inside_is_in_contact_everywhere(shapes):
     grid = PatchGrid.of(shapes.plate(1.0), 9)
     for tool in (_tool([shapes.ball(5.0, [0.3, 0.2, 1.0])], (17, 9)), _tool(shapes.box(9.0, [1, 1, 1]), 5)):

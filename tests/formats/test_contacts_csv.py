@@ -35,6 +35,7 @@ def contacts(n: int, seed: int = 0) -> Contacts:
     return Contacts(
         rng.integers(0, 2, n), rng.integers(0, 2, n), rng.integers(0, 3, n), rng.random(n), rng.random(n),
         rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), rng.random(n), rng.random(n), rng.normal(size=(n, 3)),
+        rng.integers(0, 2, n), rng.random(n), rng.random(n),
     )  # fmt: skip
 
 
