@@ -9,6 +9,7 @@ nearest to x, and that point is x - d n.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,11 +110,24 @@ class ImplicitTool:
         return FieldTool(PlacedField(self, pose))
 
 
+class Solid(Protocol):
+    """What a tool with a signed distance offers in its own frame."""
+
+    @property
+    def box_corners(self) -> Array:
+        """(2, 3): lower and upper corner of a box that holds it; may be infinite."""
+        ...
+
+    def field(self, points: Array) -> tuple[Array, Array]:
+        """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedField:
-    """An implicit tool at a pose; implements `collide.detect.DistanceField`."""
+    """A solid at a pose; implements `collide.detect.DistanceField`."""
 
-    tool: ImplicitTool
+    tool: Solid
     pose: Pose
 
     def distance(self, points: Array) -> Array:
