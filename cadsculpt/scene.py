@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import ConfigDict, Field, ModelWrapValidatorHandler, model_validator
 
 from .physics.material import PRESETS, Material
-from .scene_tool import PathRow, ToolSpec
+from .scene_tool import PartSpec, PathRow, ShapeSpec, ToolSpec
 from .scene_values import (
     Anchor,
     CadFormat,
@@ -47,9 +47,11 @@ __all__ = [
     "MaterialSpec",
     "ModelSpec",
     "OutputSpec",
+    "PartSpec",
     "PathRow",
     "RefitSpec",
     "Scene",
+    "ShapeSpec",
     "SolverSpec",
     "ToolSpec",
     "Zone",

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from math import inf
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import ConfigDict, Field, Tag
 
+from .errors import InputError
 from .scene_values import (
     Anchor,
     Corners,
@@ -15,6 +18,7 @@ from .scene_values import (
     Faces,
     Name,
     NotNegative,
+    PartShape,
     Positive,
     Shape,
     Sizes,
@@ -25,6 +29,7 @@ from .scene_values import (
     Vector,
 )
 from .spec import LIST, WORD, Fault, Spec, by_type, entries, is_number, read, shown
+from .tools.expression import Expression
 
 
 class PathRow(Spec):
@@ -47,50 +52,55 @@ SIZES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "superquadric": (("radii", "exponents"), ()),
     "half_space": ((), ()),
     "formula": (("expression", "box"), ()),
+    "union": (("part",), ()),
+    "intersection": (("part",), ()),
+    "difference": (("part",), ()),
     "surface": (("file",), ("faces", "material", "thickness", "nodes", "layers", "hold")),
     "mesh": (("file",), ("file_units",)),
 }
 """Per shape, the keys that it must have and those that it may have."""
 
 SIZE_KEYS = tuple(dict.fromkeys(key for needed, free in SIZES.values() for key in needed + free))
+COMPOSED = ("union", "intersection", "difference")
 DEFORMABLE_KEYS = ("thickness", "nodes", "layers", "hold")
 
 
 def _shape_conditions(schema: dict[str, Any]) -> None:
     """Tells editors which sizes belong to which shape."""
-    schema["allOf"] = [
-        {
-            "if": {"properties": {"shape": {"const": shape}}, "required": ["shape"], "not": {"required": ["use"]}},
-            "then": {"required": list(needed)},
-        }
-        for shape, (needed, _) in SIZES.items()
-        if needed
-    ]
+    _sizes_needed(schema, {"not": {"required": ["use"]}})
     schema["required"] = []
     schema["anyOf"] = [{"required": ["name", "shape"]}, {"required": ["use"]}]
 
 
-class ToolSpec(Spec):
-    """A tool and its motion.
+def _part_conditions(schema: dict[str, Any]) -> None:
+    """The same for a part."""
+    _sizes_needed(schema, {})
 
-    Shapes are centred at the origin of the tool's frame with their axis along z. A cone has its apex there and opens
+
+def _sizes_needed(schema: dict[str, Any], unless: dict[str, Any]) -> None:
+    possible = schema["properties"]["shape"]["enum"]
+    schema["allOf"] = [
+        {
+            "if": {"properties": {"shape": {"const": shape}}, "required": ["shape"], **unless},
+            "then": {"required": list(needed)},
+        }
+        for shape, (needed, _) in SIZES.items()
+        if needed and shape in possible
+    ]
+
+
+class ShapeSpec(Spec):
+    """A solid's shape and sizes.
+
+    Shapes are centred at the origin of their frame with their axis along z. A cone has its apex there and opens
     towards +z; a half-space is everything above z = 0: a tool that comes down along -z touches with its tip.
     """
 
-    model_config = ConfigDict(json_schema_extra=_shape_conditions)
-
-    name: Name = Field(description="the tool's name, unlike any other in the scene")
-    use: Text | None = Field(
-        default=None, description="a shipped tool or a .tool.toml file; what is written here overrides it"
-    )
     shape: Shape = Field(description="the tool's form; its sizes depend on it")
-    area: Positive | None = Field(
-        default=None, description="of a point: what its contact stands for, one node's share of the model when left out"
-    )
     radius: Positive | None = Field(default=None, description="of a sphere, capsule, cylinder, or a cone's base")
     radii: Sizes | None = Field(default=None, description="of an ellipsoid or superquadric: along x, y, z")
     exponents: Exponents | None = Field(
-        default=None, description="of a superquadric: [e1, e2], 1 is round, near 0 square"
+        default=None, description="of a superquadric: [e1, e2], 0.1 to 2; 1 is round, near 0 square, 2 an octahedron"
     )
     length: Positive | None = Field(default=None, description="of a capsule: between the centres of its two ends")
     height: Positive | None = Field(default=None, description="of a cylinder or cone")
@@ -101,7 +111,47 @@ class ToolSpec(Spec):
     )
     minor_radius: Positive | None = Field(default=None, description="of a torus: of the tube")
     expression: Text | None = Field(default=None, description="of a formula: in x, y, z; negative inside the tool")
-    box: Corners | None = Field(default=None, description="of a formula: two corners of a box around the tool")
+    box: Corners | None = Field(
+        default=None, description="of a formula: two corners of a box, the lower first; outside it the tool does not exist"
+    )
+    part: tuple[PartSpec, ...] | None = Field(
+        default=None, description="of a union, intersection or difference: two or more [[tool.part]] tables"
+    )
+
+    @classmethod
+    def faults(cls, given: Mapping[str, Any]) -> Iterator[Fault]:
+        shape = given.get("shape")
+        if isinstance(shape, str) and shape in SIZES:
+            yield from _size_faults(shape, given)
+
+
+class PartSpec(ShapeSpec):
+    """A part of a composed tool: a shape, and where it stands in the tool's frame."""
+
+    model_config = ConfigDict(json_schema_extra=_part_conditions)
+
+    shape: PartShape = Field(description="the part's form; its sizes depend on it")
+    at: Vector = Field(default=(0.0, 0.0, 0.0), description="where the origin of the part's frame is")
+    turn: Turn = Field(default=(0.0, 0.0, 1.0, 0.0), description="turned about an axis: [x, y, z, degrees]")
+
+
+class NamedTool(Spec):
+    """A tool's name, and where its shape comes from."""
+
+    name: Name = Field(description="the tool's name, unlike any other in the scene")
+    use: Text | None = Field(
+        default=None, description="a shipped tool or a .tool.toml file; what is written here overrides it"
+    )
+
+
+class ToolSpec(ShapeSpec, NamedTool):
+    """A tool and its motion."""
+
+    model_config = ConfigDict(json_schema_extra=_shape_conditions)
+
+    area: Positive | None = Field(
+        default=None, description="of a point: what its contact stands for, one node's share of the model when left out"
+    )
     file: Text | None = Field(
         default=None, description="of a surface or mesh: its file, seen from the folder of this one"
     )
@@ -130,9 +180,7 @@ class ToolSpec(Spec):
 
     @classmethod
     def faults(cls, given: Mapping[str, Any]) -> Iterator[Fault]:
-        shape = given.get("shape")
-        if isinstance(shape, str) and shape in SIZES:
-            yield from _size_faults(shape, given)
+        yield from super().faults(given)
         if given.get("control") == "force" and "force" not in given:
             yield Fault(("control",), 'force is missing (control = "force" needs the force in N)')
         if "force" in given and given.get("control", "position") == "position":
@@ -142,7 +190,7 @@ class ToolSpec(Spec):
 
 def _size_faults(shape: str, given: Mapping[str, Any]) -> Iterator[Fault]:
     needed, free = SIZES[shape]
-    a_shape = f"an {shape}" if shape == "ellipsoid" else f"a {shape}"
+    a_shape = f"an {shape}" if shape[0] in "ei" else f"a {shape}"
     for key in needed:
         if key not in given:
             yield Fault((key,), f"{key} is missing ({a_shape} needs {' and '.join(needed)})")
@@ -164,10 +212,28 @@ def _size_faults(shape: str, given: Mapping[str, Any]) -> Iterator[Fault]:
     if shape == "torus" and is_number(major) and is_number(minor) and 0 < major <= minor:
         yield Fault(("minor_radius",), f"minor_radius must be below major_radius {shown(major)}, not {shown(minor)}")
     corners = entries(given, "box")
+    pairs: list[tuple[Any, Any]] = []
     if len(corners) == 2 and all(isinstance(corner, (list, tuple)) for corner in corners):
-        pairs = zip(*corners, strict=False)
+        pairs = list(zip(*corners, strict=False))
         if any(is_number(low) and is_number(high) and low >= high for low, high in pairs):
             yield Fault(("box",), "box must be [[x, y, z], [x, y, z]] with the lower corner first")
+            pairs = []
+    if shape == "formula" and isinstance(given.get("expression"), str) and given["expression"]:
+        whole = len(pairs) == 3 and all(is_number(side) and abs(side) < inf for pair in pairs for side in pair)
+        yield from _expression_faults(given["expression"], corners if whole else None)
+    if shape in COMPOSED and isinstance(given.get("part"), (list, tuple)) and len(given["part"]) == 1:
+        yield Fault(("part",), f"{a_shape} of one part (write two or more [[tool.part]] tables)")
+
+
+def _expression_faults(expression: str, box: list[Any] | None) -> Iterator[Fault]:
+    try:
+        read = Expression.parse(expression)
+    except InputError as error:
+        yield Fault(("expression",), f"{error.what} ({error.mend})" if error.mend else error.what)
+        return
+    told = read.undefined(np.array(box, dtype=np.float64)) if box is not None else ""
+    if told:
+        yield Fault(("expression",), f"expression {told} (choose a smaller box, or another expression)")
 
 
 def _rounding_faults(shape: str, given: Mapping[str, Any]) -> Iterator[Fault]:

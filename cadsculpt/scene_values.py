@@ -74,7 +74,8 @@ Sizes = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(listed(3)
 Turn = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(listed(4)), AfterValidator(_turn)]
 Interval = Annotated[tuple[Number, Number], BeforeValidator(listed(2)), AfterValidator(_interval)]
 Schema = Annotated[Literal[1], BeforeValidator(_schema_1)]
-Exponents = Annotated[tuple[Positive, Positive], BeforeValidator(listed(2))]
+Exponent = Annotated[Number, Field(ge=0.1, le=2)]
+Exponents = Annotated[tuple[Exponent, Exponent], BeforeValidator(listed(2))]
 Corners = Annotated[tuple[Vector, Vector], BeforeValidator(listed(2, "corners"))]
 Counts = Annotated[tuple[Several, Several], BeforeValidator(listed(2, "whole numbers"))]
 Names = Annotated[tuple[Name, Name], BeforeValidator(listed(2, "names"))]
@@ -101,7 +102,11 @@ Value = Annotated[Annotated[Number, Tag(NUMBER)] | Annotated[Text, Tag(WORD)], b
 
 Shape = Literal[
     "point", "sphere", "ellipsoid", "capsule", "cylinder", "cone", "box", "torus", "superquadric", "half_space",
-    "formula", "surface", "mesh",
+    "formula", "union", "intersection", "difference", "surface", "mesh",
+]  # fmt: skip
+PartShape = Literal[
+    "sphere", "ellipsoid", "capsule", "cylinder", "cone", "box", "torus", "superquadric", "half_space", "formula",
+    "union", "intersection", "difference",
 ]  # fmt: skip
 Preset = Literal["clay", "foam", "rubber", "sheet steel", "aluminium"]
 Verdict = Literal["clear", "contact", "undecided", "touching", "piercing", "contained"]

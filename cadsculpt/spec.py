@@ -63,7 +63,11 @@ class Spec(BaseModel):
                     continue
                 found.append(_detail(place, cls._sentence(place, detail), detail["input"]))
         if isinstance(given, dict):
+            # a table that holds tables of its own kind passes here twice
+            told = {(detail["loc"], str(detail["type"])) for detail in found}
             for fault in cls.faults(given):
+                if (fault.place, one_line(fault.sentence)) in told:
+                    continue
                 if not (fault.place and fault.place[0] in meant and fault.place[0] not in given):
                     found.append(_detail(fault.place, fault.sentence, None))
         if found or made is None:

@@ -44,7 +44,12 @@ def _tool_object(name: str, definition: Any) -> dict[str, Any]:
 
 def _sizes(tool: dict[str, Any]) -> str:
     """Sizes in words: "radius 8 mm"."""
-    numbers = {key: value for key, value in tool["sizes"].items() if not isinstance(value, (str, bool))}
+    numbers = {
+        key: value
+        for key, value in tool["sizes"].items()
+        if isinstance(value, (int, float) if not isinstance(value, list) else list) and not isinstance(value, bool)
+        if not isinstance(value, list) or all(isinstance(item, (int, float)) for item in value)
+    }
     parts = []
     for key, value in numbers.items():
         several = isinstance(value, list)

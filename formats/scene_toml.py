@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 Line = tuple[str, int, str]
 """A fault: the file and line that it is sorted by, and the line of text that the user reads."""
 
-_ITEMS = {"model": "model", "tool": "tool", "expect": "expect", "path": "path row", "zones": "zone", "anchor": "anchor"}
+_ITEMS = {
+    "model": "model", "tool": "tool", "expect": "expect", "path": "path row", "zones": "zone", "anchor": "anchor",
+    "part": "part",
+}  # fmt: skip
 
 
 class SceneFile(Scene):
@@ -253,7 +256,11 @@ def dump(scene: Scene) -> str:
     for i, tool in enumerate(scene.tool):
         use, same = writer.definition(i, tool)
         rows = tool.path if isinstance(tool.path, tuple) else ()
-        writer.table("[[tool]]", tool, skip=(*(("path",) if rows else ()), *(() if use else ("use",))), same=same)
+        own = () if same.get("part") == tool.part else tool.part or ()
+        skip = (*(("path",) if rows else ()), *(() if use else ("use",)), "part")
+        writer.table("[[tool]]", tool, skip=skip, same=same)
+        for part in own:
+            writer.table("[[tool.part]]", part)
         for row in rows:
             writer.table("[[tool.path]]", row)
     writer.table("[solver]", scene.solver)

@@ -27,7 +27,7 @@ LIBRARY = Path(__file__).parent / "tool_library"
 SUFFIX = ".tool.toml"
 LENGTHS = (
     "radius", "radii", "length", "height", "size", "rounding", "major_radius", "minor_radius", "box",
-    "thickness",
+    "thickness", "at",
 )  # fmt: skip
 MOTION = ("path", "control", "force", "use")
 
@@ -76,15 +76,7 @@ class ToolDefinition:
         keys = {"name": self.name, **self.keys}
         factor = conversion(self.units, units)
         if factor != 1.0:
-            keys |= {key: _scaled(keys[key], factor) for key in LENGTHS if key in keys}
-            if isinstance(keys.get("nodes"), (int, float)):  # a spacing, not [nu, nv]
-                keys["nodes"] *= factor
-            if "area" in keys:
-                keys["area"] = _scaled(keys["area"], factor * factor)
-            if "expression" in keys:
-                back = repr(conversion(units, self.units))
-                inner = re.sub(r"\b[xyz]\b", rf"(\g<0>*{back})", keys["expression"])
-                keys["expression"] = f"({inner})/{back}"
+            keys = _converted(keys, factor, repr(conversion(units, self.units)))
         if "file" in keys:
             keys["file"] = os.path.abspath(self.file.path.parent / keys["file"])
         if keys["shape"] == "mesh":
@@ -143,6 +135,21 @@ def read(path: str | os.PathLike[str]) -> ToolDefinition:
         description=given.get("description", ""),
         keys={key: value for key, value in given.items() if key not in ("name", "units", "description", "schema")},
     )
+
+
+def _converted(keys: Mapping[str, Any], factor: float, back: str) -> dict[str, Any]:
+    """The keys of a shape and those of its parts in another unit. back : the factor of the way back."""
+    out = {key: _scaled(value, factor) if key in LENGTHS else value for key, value in keys.items()}
+    if isinstance(out.get("nodes"), (int, float)):  # a spacing, not [nu, nv]
+        out["nodes"] *= factor
+    if "area" in out:
+        out["area"] = _scaled(out["area"], factor * factor)
+    if "expression" in out:
+        inner = re.sub(r"\b[xyz]\b", rf"(\g<0>*{back})", out["expression"])
+        out["expression"] = f"({inner})/{back}"
+    if "part" in out:
+        out["part"] = [_converted(part, factor, back) for part in out["part"]]
+    return out
 
 
 def _scaled(value: Any, factor: float) -> Any:

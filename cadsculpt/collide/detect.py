@@ -23,6 +23,7 @@ from .field_contacts import field_contacts
 from .grid import PatchGrid
 from .point_contacts import point_contacts
 from .query import (
+    BoundedField,
     Counters,
     Crossings,
     DetectCache,
@@ -38,6 +39,7 @@ from .query import (
 from .surface_contacts import surface_contacts
 
 __all__ = [
+    "BoundedField",
     "Counters",
     "Crossings",
     "DetectCache",

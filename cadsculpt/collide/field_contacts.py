@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from . import hull, levels, quadrature
 from .contacts import Contacts
-from .query import DistanceField, FieldTool, Run, finest_size, on_face
+from .query import BoundedField, DistanceField, FieldTool, Run, finest_size, lower_bound, on_face
 from .workspace import Patch, Workspace
 
 Array = NDArray[np.float64]
@@ -29,8 +29,7 @@ def field_contacts(run: Run, index: int, tool: FieldTool) -> list[Contacts]:
             continue
         margin = run.options.margin
         names = np.sort(levels.vertices_of(g, cells, work.new_mark()))
-        depth = -tool.field.distance(g.points[names])
-        hit = ~(depth < -margin)
+        depth, hit = _depths(tool.field, g.points[names], margin)
         if hit.any():
             uv, points, area = quadrature.vertex_rows(g, names[hit])
             parts.append(_field_rows(run, index, int(face), tool.field, uv, points, depth[hit], area))
@@ -39,7 +38,9 @@ def field_contacts(run: Run, index: int, tool: FieldTool) -> list[Contacts]:
         # cells that the tool may reach between the vertices, away from those it is known to touch
         left = quadrature.unresolved(g, cells, margin, names, depth, work.new_mark())
         if len(left):
-            uv, points, area = quadrature.below_grid(g, left, tool.field.distance, margin, finest_size(run, g))
+            distance = tool.field.distance
+            bound = tool.field.bound if isinstance(tool.field, BoundedField) else distance
+            uv, points, area = quadrature.below_grid(g, left, bound, distance, margin, finest_size(run, g))
             on = on_face(run.grids[face], uv)
             if on.any():
                 uv, points, area = uv[on], points[on], area[on]
@@ -55,16 +56,31 @@ def _field_cells(run: Run, g: Patch, work: Workspace, tool: DistanceField) -> In
 
         def meets(facets: Array) -> Mask:
             centre = facets.mean(axis=1)
-            return np.asarray(tool.distance(centre) <= np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1))
+            return np.asarray(lower_bound(tool, centre) <= np.linalg.norm(facets - centre[:, None], axis=2).max(axis=1))
 
         centre = 0.5 * (work.extent[0] + work.extent[1])
-        within = bool(tool.distance(centre[None])[0] <= 0.5 * np.linalg.norm(work.extent[1] - work.extent[0]))
+        within = bool(lower_bound(tool, centre[None])[0] <= 0.5 * np.linalg.norm(work.extent[1] - work.extent[0]))
         window = hull.paper_window(work.grid.surface, g, meets, within)
     cells, centre, _ = levels.window_cells(work, window)
     ended = len(cells) == 0
     while not ended:
-        cells, centre, ended = levels.refine(work, cells, tool.distance(centre), run.options.margin)
+        cells, centre, ended = levels.refine(work, cells, lower_bound(tool, centre), run.options.margin)
     return cells
+
+
+def _depths(field: DistanceField, points: Array, margin: float) -> tuple[Array, Mask]:
+    """Depths (n,) of points, and which of them are contacts; the others' are only as low as the field's bound, so that
+    what is discarded by them is discarded for certain. NaN stays, and counts as a contact."""
+    if not isinstance(field, BoundedField):
+        depth = -field.distance(points)
+        return depth, ~(depth < -margin)
+    depth = -field.bound(points)
+    hit = ~(depth < -margin)
+    near = np.flatnonzero(hit)
+    exact = -field.distance(points[near])
+    hit[near] = ~(exact < -margin)
+    depth[near] = np.where(hit[near], exact, np.nextafter(-margin, -np.inf))
+    return depth, hit
 
 
 def _field_rows(

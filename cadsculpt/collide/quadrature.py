@@ -295,21 +295,29 @@ def subcells(g: Patch, cells: Index, place: Array) -> tuple[Array, Array, Array,
 
 
 def below_grid(
-    g: Patch, cells: Index, distance: Callable[[Array], Array], margin: float, tolerance: float
+    g: Patch,
+    cells: Index,
+    bound: Callable[[Array], Array],
+    distance: Callable[[Array], Array],
+    margin: float,
+    tolerance: float,
 ) -> tuple[Array, Array, Array]:
     """Contacts of a tool that reaches the surface between the vertices of the finest cells (i, j) of `cells` (n, 2).
 
     The cells are cut in four, and those whose sphere stays away from the tool dropped, until ENOUGH_POINTS middles lie
     in the tool (distance <= margin), or what is left is smaller than `tolerance`: a print no deeper than that is not
-    found. Returns parameters (k, 2), points (k, 3) and areas (k,).
+    found. bound : what discards, nowhere farther from 0 than the distance. Returns parameters (k, 2), points (k, 3) and
+    areas (k,).
     """
     place = np.tile([0.0, 0.0, 1.0], (len(cells), 1))
     corner = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])
     while len(cells):
         uv, points, radius, area = subcells(g, cells, place)
-        d = distance(points)
-        hit = d <= margin
-        near = ~(d > radius + margin)
+        low = bound(points)
+        hit = low <= margin
+        if distance is not bound:
+            hit[hit] = distance(points[hit]) <= margin
+        near = ~(low > radius + margin)
         if hit.sum() >= ENOUGH_POINTS or 4 * near.sum() > MOST_SUBCELLS or not (radius[near] > tolerance).any():
             return uv[hit], points[hit], area[hit]
         cells = np.repeat(cells[near], 4, axis=0)

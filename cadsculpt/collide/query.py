@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,20 @@ class DistanceField(Protocol):
     def box(self) -> Array:
         """Low and high corner (2, 3) of the tool in the world; may hold infinities."""
         ...
+
+
+@runtime_checkable
+class BoundedField(DistanceField, Protocol):
+    """A tool whose exact distance costs a search: `bound` prunes in its stead."""
+
+    def bound(self, points: Array) -> Array:
+        """Signed (n,), 1-Lipschitz, nowhere farther from 0 than `distance`, and of the same sign."""
+        ...
+
+
+def lower_bound(field: DistanceField, points: Array) -> Array:
+    """What may be relied on to discard: the field's `bound` where it has one, else its distance."""
+    return field.bound(points) if isinstance(field, BoundedField) else field.distance(points)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

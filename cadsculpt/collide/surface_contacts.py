@@ -197,7 +197,7 @@ def _closest_contacts(
         def distance(points: Array) -> Array:
             return _nearest(solid, points, np.arange(len(points) + 1)).gap
 
-        uv, points, area = quadrature.below_grid(g, left, distance, margin, finest_size(run, g))
+        uv, points, area = quadrature.below_grid(g, left, distance, distance, margin, finest_size(run, g))
         on = on_face(run.grids[face], uv)
         if on.any():
             uv, points, area = uv[on], points[on], area[on]

@@ -237,9 +237,12 @@ class ComposedTool:
         return _on(self.pieces, self.tree, points, ON * self.size)
 
     def _search(self, x: Array, active: Index, rows: Index, distance: Array, foot: Array) -> None:
-        """Nearest points by Newton's method from the points of the surface around."""
+        """Nearest points by Newton's method from the points of the surface around; where it ends on none that is nearer
+        than these, as on a crease within one piece, by creeping."""
         seeds, found = self.seeds, distance[rows]
         best = foot[rows]
+        every = np.arange(len(x))
+        known = np.full(len(x), -1.0)
         if len(seeds.points):
             k = min(8, len(seeds.points))
             gap, index = seeds.tree.query(x, k=k)
@@ -247,19 +250,53 @@ class ComposedTool:
             nearer = gap[:, 0] < found
             found = np.where(nearer, gap[:, 0], found)
             best = np.where(nearer[:, None], seeds.points[index[:, 0]], best)
-            starts = [(np.arange(len(x)), index[:, 0])]
+            known = np.where(nearer, gap[:, 0], known)
+            self._try(x, every, seeds.points[index[:, 0]], seeds.near[index[:, 0]], found, best)
             # a second start where some of the points around lie on another piece or face another way
             first = index[:, :1]
             other = (seeds.piece[index] != seeds.piece[first]) | (
                 (seeds.normal[index] * seeds.normal[first]).sum(axis=2) < 0.5
             )
             some = np.flatnonzero(other.any(axis=1))
-            starts.append((some, index[some, other[some].argmax(axis=1)]))
-            for mine, start in starts:
-                self._try(x, mine, seeds.points[start], seeds.near[start], found, best)
+            start = index[some, other[some].argmax(axis=1)]
+            self._try(x, some, seeds.points[start], seeds.near[start], found, best)
         # what no point of the surface stands for: from the point itself
-        self._try(x, np.arange(len(x)), x, active[:, None], found, best)
+        self._try(x, every, x, active[:, None], found, best)
+        creased = np.flatnonzero((found == known) & (found > ON * self.size))
+        if len(creased):
+            found[creased], best[creased] = self._creep(x[creased], found[creased], best[creased])
         distance[rows], foot[rows] = found, best
+
+    def _creep(self, x: Array, gap: Array, y: Array) -> tuple[Array, Array]:
+        """From points y of the surface at distances gap to nearer ones, by signs alone: where the end of a ray of that
+        length, turned a little, is on the other side, the surface is nearer along it."""
+        gap, ray = gap.copy(), (y - x) / gap[:, None]
+        side = self.value(x) < 0
+        turn = np.full(len(x), 2.0 * self.cover.radius) / gap
+        for k in range(90):
+            t = np.cross(ray, np.eye(3)[np.abs(ray).argmin(axis=1)])
+            t /= np.linalg.norm(t, axis=1)[:, None]
+            u = np.cross(ray, t)
+            angle = 2.4 * k + 0.25 * np.pi * np.arange(8)
+            rays = ray[:, None] + turn[:, None, None] * (
+                np.cos(angle)[:, None] * t[:, None] + np.sin(angle)[:, None] * u[:, None]
+            )
+            rays /= np.linalg.norm(rays, axis=2)[..., None]
+            ends = x[:, None] + (gap * (1.0 - 1e-13))[:, None, None] * rays
+            crossed = (self.value(ends.reshape(-1, 3)) < 0).reshape(-1, 8) != side[:, None]
+            some = np.flatnonzero(crossed.any(axis=1))
+            turn *= 0.7
+            if not len(some):
+                continue
+            turn[some] *= 2.0
+            ray[some] = rays[some, crossed[some].argmax(axis=1)]
+            low, high = np.zeros(len(some)), gap[some].copy()
+            for _ in range(52):
+                middle = 0.5 * (low + high)
+                over = (self.value(x[some] + middle[:, None] * ray[some]) < 0) != side[some]
+                low, high = np.where(over, low, middle), np.where(over, middle, high)
+            gap[some] = high
+        return gap, x + gap[:, None] * ray
 
     def _try(self, x: Array, rows: Index, start: Array, near: Index, found: Array, best: Array) -> None:
         """The nearest points of the pieces `near` (n, k), of their edges and corners, from `start` (n, 3)."""

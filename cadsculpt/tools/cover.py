@@ -45,10 +45,11 @@ class Cover:
         return bool(np.isnan(self.corners).any())
 
     def clearance(self, points: Array) -> Array:
-        """A lower bound (n,) of the distance from points (n, 3) to the surface."""
-        if not len(self.centres):
-            return np.full(len(points), np.inf)
-        return np.maximum(self.tree.query(points)[0] * (1 - 1e-12) - self.radius, 0.0)
+        """A lower bound (n,) of the distance from points (n, 3) to the surface; NaN for what is no point."""
+        out = np.full(len(points), np.nan)
+        known = np.isfinite(points).all(axis=1)
+        out[known] = np.maximum(self.tree.query(points[known])[0] * (1 - 1e-12) - self.radius, 0.0)
+        return out
 
 
 def make_cover(span: Callable[[Array, Array], tuple[Array, Array]], corners: Array, enough: int = ENOUGH) -> Cover:

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..scene import ToolSpec
+from ..motion.pose import Pose
+from ..scene import ShapeSpec, ToolSpec
 from ..spline.surface import BSplineSurface
+from .composed import ComposedTool
 from .implicit import ImplicitTool
 from .point import PointTool
+from .superquadric import SuperquadricTool
 from .surface import SurfaceTool
 
 Array = NDArray[np.float64]
-Tool = ImplicitTool | PointTool | SurfaceTool
+Body = ImplicitTool | SuperquadricTool | ComposedTool
+"""A tool with a signed distance."""
+
+Tool = Body | PointTool | SurfaceTool
 
 
 def make_tool(
@@ -33,42 +40,70 @@ def make_tool(
         match spec.shape:
             case "point":
                 return PointTool(spec.area or spacing**2)
-            case "sphere":
-                return ImplicitTool.sphere(_size(spec, "radius"))
-            case "ellipsoid":
-                return ImplicitTool.ellipsoid(_sizes(spec, "radii"))
-            case "capsule":
-                return ImplicitTool.capsule(_size(spec, "radius"), _size(spec, "length"))
-            case "cylinder":
-                return ImplicitTool.cylinder(_size(spec, "radius"), _size(spec, "height"), spec.rounding or 0.0)
-            case "cone":
-                return ImplicitTool.cone(_size(spec, "radius"), _size(spec, "height"))
-            case "box":
-                return ImplicitTool.box(_sizes(spec, "size"), spec.rounding or 0.0)
-            case "torus":
-                return ImplicitTool.torus(_size(spec, "major_radius"), _size(spec, "minor_radius"))
-            case "half_space":
-                return ImplicitTool.half_space()
             case "surface":
                 return SurfaceTool.of(list(surfaces), resolution)
+            case "mesh":
+                raise InputError('shape "mesh" cannot be run yet', mend="use one of the other shapes")
+        return make_body(spec)
     except InputError as error:
-        raise InputError(error.what, where=where, mend=error.mend) from None
-    raise InputError(
-        f"shape {spec.shape!r} cannot be run yet",
-        where=where,
-        mend="use point, sphere, ellipsoid, capsule, cylinder, cone, box, torus, half_space or surface",
-    )
+        inner = f", {error.where}" if error.where else ""
+        raise InputError(error.what, where=where + inner, mend=error.mend) from None
 
 
-def _size(spec: ToolSpec, key: str) -> float:
+def make_body(spec: ShapeSpec) -> Body:
+    """The solid that a table of a shape and its sizes describes, a part of a composed tool for one."""
+    match spec.shape:
+        case "sphere":
+            return ImplicitTool.sphere(_size(spec, "radius"))
+        case "ellipsoid":
+            return ImplicitTool.ellipsoid(_sizes(spec, "radii"))
+        case "capsule":
+            return ImplicitTool.capsule(_size(spec, "radius"), _size(spec, "length"))
+        case "cylinder":
+            return ImplicitTool.cylinder(_size(spec, "radius"), _size(spec, "height"), spec.rounding or 0.0)
+        case "cone":
+            return ImplicitTool.cone(_size(spec, "radius"), _size(spec, "height"))
+        case "box":
+            return ImplicitTool.box(_sizes(spec, "size"), spec.rounding or 0.0)
+        case "torus":
+            return ImplicitTool.torus(_size(spec, "major_radius"), _size(spec, "minor_radius"))
+        case "superquadric":
+            return SuperquadricTool.of(_sizes(spec, "radii"), _given(spec, "exponents"))
+        case "half_space":
+            return ImplicitTool.half_space()
+        case "formula":
+            return ComposedTool.formula(_given(spec, "expression"), _given(spec, "box"))
+        case "union":
+            return ComposedTool.union(_parts(spec))
+        case "intersection":
+            return ComposedTool.intersection(_parts(spec))
+        case "difference":
+            return ComposedTool.difference(_parts(spec))
+    raise InputError(f"a {spec.shape} is no solid with a formula", mend="use a sphere, box, torus, ...")
+
+
+def _parts(spec: ShapeSpec) -> list[tuple[Body, Pose]]:
+    parts: list[tuple[Body, Pose]] = []
+    for number, part in enumerate(spec.part or (), start=1):
+        try:
+            parts.append((make_body(part), Pose.turned(part.at, part.turn[:3], part.turn[3])))
+        except InputError as error:
+            inner = f", {error.where}" if error.where else ""
+            raise InputError(error.what, where=f"part {number}{inner}", mend=error.mend) from None
+    return parts
+
+
+def _given(spec: ShapeSpec, key: str) -> Any:
     value = getattr(spec, key)
     if value is None:
         raise InputError(f"a {spec.shape} needs {key}", mend=f"write {key} = ...")
-    return float(value)
+    return value
 
 
-def _sizes(spec: ToolSpec, key: str) -> tuple[float, float, float]:
-    value = getattr(spec, key)
-    if value is None:
-        raise InputError(f"a {spec.shape} needs {key}", mend=f"write {key} = [x, y, z]")
+def _size(spec: ShapeSpec, key: str) -> float:
+    return float(_given(spec, key))
+
+
+def _sizes(spec: ShapeSpec, key: str) -> tuple[float, float, float]:
+    value = _given(spec, key)
     return float(value[0]), float(value[1]), float(value[2])

@@ -8,15 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import implicit
+from .composed import ComposedTool
+from .contour import contour
 from .implicit import ImplicitTool
 from .point import PointTool
+from .superquadric import SuperquadricTool
 from .surface import SurfaceTool
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-def outline(tool: ImplicitTool | PointTool | SurfaceTool, *, scene_size: float) -> tuple[Array, Index]:
+def outline(
+    tool: ImplicitTool | SuperquadricTool | ComposedTool | PointTool | SurfaceTool, *, scene_size: float
+) -> tuple[Array, Index]:
     """Points (k, 3) in the tool's frame and triangles (f, 3), counter-clockwise seen from outside.
 
     scene_size : a length of the scene, for what has no size of its own (a point, a half-space).
@@ -25,6 +30,12 @@ def outline(tool: ImplicitTool | PointTool | SurfaceTool, *, scene_size: float) 
         return _revolve(np.array([[0.0, 0.0], [0.02, 0.08], [0.02, 0.4], [0.0, 0.4]]) * scene_size, 24)
     if isinstance(tool, SurfaceTool):
         return _patches(tool)
+    if isinstance(tool, SuperquadricTool):
+        return contour(lambda x: tool.field(x)[0], tool.field, tool.box_corners)
+    if isinstance(tool, ComposedTool):
+        corners = tool.box_corners
+        clipped = np.clip(corners, -0.6 * scene_size, 0.6 * scene_size)
+        return contour(tool.value, tool.field, np.where(np.isfinite(corners), corners, clipped))
     p, rounding = tool.parameters, tool.rounding
     if tool.kind == implicit.HALF_SPACE:
         x = scene_size * np.array([-0.6, 0.6])
