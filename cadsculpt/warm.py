@@ -11,10 +11,11 @@ from .model import SourceBody, build_model
 from .motion.path import ToolPath
 from .motion.pose import Pose
 from .patch import SourceFace
-from .scene import Scene
+from .scene import Scene, ShapeSpec
 from .session import Session
 from .spline.surface import BSplineSurface
 from .tools.make import make_tool
+from .tools.superquadric import SuperquadricTool
 
 
 def warm_up(scene: Scene) -> None:
@@ -34,6 +35,8 @@ def warm_up(scene: Scene) -> None:
             "solver": {"resolution": 13, "mode": scene.solver.mode, "step": 1e-4},
         }
     )
+    if any("superquadric" in _shapes(tool) for tool in scene.tool):
+        SuperquadricTool.of((1.0, 1.0, 1.0), (1.0, 1.0)).field(np.zeros((1, 3)))
     low = {"point": -0.1, "sphere": 2.9, "surface": -0.1}
     paths = {kind: ToolPath.resting(Pose(np.array([5.0, 5.0, low[kind]]))) for kind in kinds}
     plate = _plate(10.0, 0.0)
@@ -47,6 +50,11 @@ def warm_up(scene: Scene) -> None:
     for _ in range(2):
         session.step()
     session.refit_error(0)
+
+
+def _shapes(spec: ShapeSpec) -> set[str]:
+    """The shapes of a tool and of its parts."""
+    return {spec.shape}.union(*(_shapes(part) for part in spec.part or ()))
 
 
 def warm_physics() -> None:

@@ -316,7 +316,8 @@ def below_grid(
         low = bound(points)
         hit = low <= margin
         if distance is not bound:
-            hit[hit] = distance(points[hit]) <= margin
+            unsure = np.flatnonzero(hit & ~(low < 0))
+            hit[unsure] = distance(points[unsure]) <= margin
         near = ~(low > radius + margin)
         if hit.sum() >= ENOUGH_POINTS or 4 * near.sum() > MOST_SUBCELLS or not (radius[near] > tolerance).any():
             return uv[hit], points[hit], area[hit]

@@ -39,6 +39,10 @@ NEAR = 4
 """Pieces around a point of the surface that are looked at: with four, a corner of four is found whatever its shape."""
 
 
+AROUND = 24
+"""Points of the surface that are looked at around the nearest one, for a second start."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Leaf:
     """A part of a composed solid with a distance of its own: where it stands, and its first piece."""
@@ -181,7 +185,7 @@ class ComposedTool:
         if self.leaf_tree is not None:
             return self.leaf_tree.value([leaf.field(points)[0] for leaf in self.leaves])[0]
         near = self.cover.clearance(points)
-        low: Array = np.where(self.value(points) < 0, -near, near)
+        low: Array = np.where(self.value(points) < 0, -np.maximum(near, 1e-300), near)
         return low
 
     def field(self, points: Array) -> tuple[Array, Array]:
@@ -244,7 +248,7 @@ class ComposedTool:
         every = np.arange(len(x))
         known = np.full(len(x), -1.0)
         if len(seeds.points):
-            k = min(8, len(seeds.points))
+            k = min(AROUND, len(seeds.points))
             gap, index = seeds.tree.query(x, k=k)
             gap, index = gap.reshape(len(x), -1), index.reshape(len(x), -1)
             nearer = gap[:, 0] < found
@@ -252,16 +256,17 @@ class ComposedTool:
             best = np.where(nearer[:, None], seeds.points[index[:, 0]], best)
             known = np.where(nearer, gap[:, 0], known)
             self._try(x, every, seeds.points[index[:, 0]], seeds.near[index[:, 0]], found, best)
-            # a second start where some of the points around lie on another piece or face another way
+            # a second start where some of the points around lie on another piece, face another way or are far apart
             first = index[:, :1]
-            other = (seeds.piece[index] != seeds.piece[first]) | (
-                (seeds.normal[index] * seeds.normal[first]).sum(axis=2) < 0.5
-            )
+            apart = np.linalg.norm(seeds.points[index] - seeds.points[first], axis=2) > 4.0 * self.cover.radius
+            turned = (seeds.normal[index] * seeds.normal[first]).sum(axis=2) < 0.5
+            other = (seeds.piece[index] != seeds.piece[first]) | turned | apart
             some = np.flatnonzero(other.any(axis=1))
             start = index[some, other[some].argmax(axis=1)]
             self._try(x, some, seeds.points[start], seeds.near[start], found, best)
         # what no point of the surface stands for: from the point itself
-        self._try(x, every, x, active[:, None], found, best)
+        alone = np.flatnonzero(found > self.cover.clearance(x) + 2.0 * self.cover.radius)
+        self._try(x, alone, x[alone], active[alone, None], found, best)
         creased = np.flatnonzero((found == known) & (found > ON * self.size))
         if len(creased):
             found[creased], best[creased] = self._creep(x[creased], found[creased], best[creased])
@@ -273,7 +278,7 @@ class ComposedTool:
         gap, ray = gap.copy(), (y - x) / gap[:, None]
         side = self.value(x) < 0
         turn = np.full(len(x), 2.0 * self.cover.radius) / gap
-        for k in range(90):
+        for k in range(64):
             t = np.cross(ray, np.eye(3)[np.abs(ray).argmin(axis=1)])
             t /= np.linalg.norm(t, axis=1)[:, None]
             u = np.cross(ray, t)
@@ -285,13 +290,15 @@ class ComposedTool:
             ends = x[:, None] + (gap * (1.0 - 1e-13))[:, None, None] * rays
             crossed = (self.value(ends.reshape(-1, 3)) < 0).reshape(-1, 8) != side[:, None]
             some = np.flatnonzero(crossed.any(axis=1))
-            turn *= 0.7
+            wide = gap[some] * (1.0 - np.minimum(4.0 * turn[some], 1.0))
+            turn *= 0.65
             if not len(some):
                 continue
             turn[some] *= 2.0
             ray[some] = rays[some, crossed[some].argmax(axis=1)]
-            low, high = np.zeros(len(some)), gap[some].copy()
-            for _ in range(52):
+            clear = (self.value(x[some] + wide[:, None] * ray[some]) < 0) == side[some]
+            low, high = np.where(clear, wide, 0.0), gap[some].copy()
+            for _ in range(30):
                 middle = 0.5 * (low + high)
                 over = (self.value(x[some] + middle[:, None] * ray[some]) < 0) != side[some]
                 low, high = np.where(over, low, middle), np.where(over, middle, high)

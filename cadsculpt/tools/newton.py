@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 STEPS = 40
+DONE = 1e-9
+"""A step of this share of the size is the last one: the next would be of the order of its square."""
 
 
 def nearest_on(pieces: Sequence[Piece], x: Array, start: Array, active: Index, reach: float, size: float) -> Array:
@@ -30,7 +32,7 @@ def nearest_on(pieces: Sequence[Piece], x: Array, start: Array, active: Index, r
         length = np.linalg.norm(step, axis=1)
         step *= np.minimum(1.0, reach / np.maximum(length, 1e-300))[:, None]
         y[left] += step
-        left = left[length > 1e-14 * size]
+        left = left[length > DONE * size]
     return y
 
 
