@@ -12,6 +12,7 @@ from cadsculpt.scene import (
     MaterialSpec,
     ModelSpec,
     OutputSpec,
+    PartSpec,
     PathRow,
     RefitSpec,
     Scene,
@@ -24,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.mark.parametrize(
     "table",
-    [Scene, ModelSpec, MaterialSpec, ToolSpec, PathRow, SolverSpec, RefitSpec, OutputSpec, ExpectSpec],
+    [Scene, ModelSpec, MaterialSpec, ToolSpec, PartSpec, PathRow, SolverSpec, RefitSpec, OutputSpec, ExpectSpec],
     ids=lambda table: table.__name__,
 )
 def test_every_key_of_a_scene_is_documented(table):

@@ -239,6 +239,7 @@ TOOLS: list[dict[str, Any]] = [
     {"shape": "superquadric", "radii": [1, 2, 3], "exponents": [0.5, 1]},
     {"shape": "half_space"},
     {"shape": "formula", "expression": "x*x + y*y + z*z - 9", "box": [[-3, -3, -3], [3, 3, 3]]},
+    {"shape": "union", "part": [{"shape": "sphere", "radius": 1}, {"shape": "cone", "radius": 1, "height": 2}]},
     {"shape": "surface", "file": "finger.step", "faces": [1, "tip"]},
     {"shape": "surface", "file": "finger.step", "material": "rubber", "thickness": 3, "nodes": 1, "hold": "base"},
     {"shape": "mesh", "file": "bone.stl", "file_units": "inch"},
@@ -264,12 +265,49 @@ def test_every_shape_has_its_sizes_and_no_others(tool: dict[str, Any]) -> None:
         ({"shape": "torus", "major_radius": 1, "minor_radius": 2}, "minor_radius", "below major_radius 1, not 2"),
         ({"shape": "formula", "expression": "x", "box": [[0, 0, 0], [1, 0, 1]]}, "box", "lower corner first"),
         ({"shape": "surface", "file": "a.step", "hold": "base"}, "hold", "belongs to a deformable tool"),
+        ({"shape": "difference", "part": [{"shape": "sphere", "radius": 1}]}, "part", "a difference of one part"),
+        ({"shape": "intersection"}, "part", "part is missing (an intersection needs part)"),
     ],
 )
 def test_sizes_that_do_not_go_together(tool: dict[str, Any], key: str, words: str) -> None:
     (fault,) = faults_of({**good(), "tool": [{"name": "tool", **tool}]})
     assert fault[0] == ("tool", 0, key)
     assert words in fault[1]
+
+
+BOX = [[-1, -1, -1], [1, 1, 1]]
+
+
+@pytest.mark.parametrize(
+    ("expression", "words"),
+    [
+        ("sqr(x) - 1", "unknown function sqr at column 1 (did you mean sqrt?)"),
+        ("x + q", "unknown name q at column 5"),
+        ("1/x", "is not a number everywhere in its box: division by zero near (0, 0, 0)"),
+        ("x +", "invalid syntax"),
+    ],
+)
+def test_a_faulty_formula_is_told_where_it_stands_even_in_a_part_of_a_part(expression: str, words: str) -> None:
+    formula = {"shape": "formula", "expression": expression, "box": BOX}
+    (fault,) = faults_of({**good(), "tool": [{"name": "tool", **formula}]})
+    assert fault[0] == ("tool", 0, "expression")
+    assert words in fault[1]
+    ball = {"shape": "sphere", "radius": 1}
+    nested = {"shape": "union", "part": [ball, {"shape": "intersection", "part": [formula, ball]}]}
+    (fault,) = faults_of({**good(), "tool": [{"name": "tool", **nested}]})
+    assert fault[0] == ("tool", 0, "part", 1, "part", 0, "expression")
+    assert words in fault[1]
+
+
+def test_every_fault_of_every_part_is_told_once() -> None:
+    parts = [{"shape": "sphere"}, {"shape": "bocks", "at": [1, 2]}, {"shape": "superquadric", "radii": [1, 1, 1]}]
+    parts[2]["exponents"] = [3, 0.05]
+    faults = faults_of({**good(), "tool": [{"name": "tool", "shape": "union", "part": parts}]})
+    assert [place[2:] for place, _ in faults] == [
+        ("part", 0, "radius"), ("part", 1, "shape"), ("part", 1, "at"), ("part", 2, "exponents", 0),
+        ("part", 2, "exponents", 1),
+    ]  # fmt: skip
+    assert "did you mean box?" in faults[1][1]
 
 
 @each_bad

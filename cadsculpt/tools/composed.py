@@ -298,7 +298,7 @@ class ComposedTool:
             ray[some] = rays[some, crossed[some].argmax(axis=1)]
             clear = (self.value(x[some] + wide[:, None] * ray[some]) < 0) == side[some]
             low, high = np.where(clear, wide, 0.0), gap[some].copy()
-            for _ in range(30):
+            for _ in range(16):
                 middle = 0.5 * (low + high)
                 over = (self.value(x[some] + middle[:, None] * ray[some]) < 0) != side[some]
                 low, high = np.where(over, low, middle), np.where(over, middle, high)

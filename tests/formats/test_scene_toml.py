@@ -332,7 +332,30 @@ shapes = st.one_of(
     st.fixed_dictionaries({"shape": st.just("box"), "size": sizes, "rounding": st.just(0.0)}),
     st.fixed_dictionaries({"shape": st.just("half_space")}),
     st.fixed_dictionaries(
-        {"shape": st.just("formula"), "expression": words, "box": st.just([[-1, -2, -3], [1, 2.5, 3]])}
+        {
+            "shape": st.just("formula"),
+            "expression": st.sampled_from(["x*x + y - 1", "max(abs(z), x)-0.5", "sin( 3*x ) - y"]),
+            "box": st.just([[-1, -2, -3], [1, 2.5, 3]]),
+        }
+    ),
+    st.fixed_dictionaries(
+        {
+            "shape": st.sampled_from(["union", "intersection", "difference"]),
+            "part": st.lists(
+                st.fixed_dictionaries(
+                    {"shape": st.just("sphere"), "radius": positive},
+                    optional={"at": vectors, "turn": st.lists(st.floats(0.1, 9), min_size=4, max_size=4)},
+                )
+                | st.just(
+                    {
+                        "shape": "union",
+                        "part": [{"shape": "half_space"}, {"shape": "box", "size": [1, 2, 3], "at": [0, 0, 1.5]}],
+                    }
+                ),
+                min_size=2,
+                max_size=3,
+            ),
+        }
     ),
     st.fixed_dictionaries(
         {"shape": st.just("surface"), "file": st.just("part.step")},

@@ -63,6 +63,22 @@ def test_a_formula_means_the_same_body_in_another_unit(tmp_path: Path) -> None:
         assert field(keys["expression"], x, y, z) == pytest.approx(25.4 * inches)
 
 
+def test_parts_come_over_in_the_scenes_unit_all_the_way_down(tmp_path: Path) -> None:
+    text = (
+        'units = "in"\nshape = "union"\n[[part]]\nshape = "sphere"\nradius = 1\nat = [1, 2, 3]\n'
+        '[[part]]\nshape = "difference"\n[[part.part]]\nshape = "half_space"\n'
+        '[[part.part]]\nshape = "formula"\nexpression = "x - 1"\nbox = [[0, 0, 0], [2, 2, 2]]\nturn = [0, 0, 1, 90]\n'
+    )
+    keys = definition(tmp_path, text).keys_in("mm")
+    ball, rest = keys["part"]
+    assert (ball["radius"], ball["at"]) == (25.4, pytest.approx([25.4, 50.8, 76.2]))
+    formula = rest["part"][1]
+    assert formula["box"][1] == [50.8] * 3
+    assert formula["turn"] == [0, 0, 1, 90]
+    assert eval(formula["expression"], {"x": 25.4 * 3}) == pytest.approx(25.4 * 2)
+    ToolSpec.model_validate(keys)
+
+
 def test_files_are_seen_from_the_definition(tmp_path: Path) -> None:
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "bone.stl").touch()
