@@ -112,7 +112,8 @@ class ShapeSpec(Spec):
     minor_radius: Positive | None = Field(default=None, description="of a torus: of the tube")
     expression: Text | None = Field(default=None, description="of a formula: in x, y, z; negative inside the tool")
     box: Corners | None = Field(
-        default=None, description="of a formula: two corners of a box, the lower first; outside it the tool does not exist"
+        default=None,
+        description="of a formula: two corners of a box, the lower first; outside it the tool does not exist",
     )
     part: tuple[PartSpec, ...] | None = Field(
         default=None, description="of a union, intersection or difference: two or more [[tool.part]] tables"

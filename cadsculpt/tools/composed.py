@@ -140,7 +140,10 @@ class ComposedTool:
         known = [tree for tree in leaf_trees if tree is not None]
         all_known = len(known) == len(parts)
         corners = _joined_box(how, boxes)
-        nothing = {"intersection": "the parts have nothing in common", "difference": "nothing is left of the first part"}
+        nothing = {
+            "intersection": "the parts have nothing in common",
+            "difference": "nothing is left of the first part",
+        }
         return cls._made(
             pieces, _joined_tree(how, trees), leaves, _joined_tree(how, known) if all_known else None, corners,
             nothing.get(how, "the parts are empty"),
@@ -148,7 +151,13 @@ class ComposedTool:
 
     @classmethod
     def _made(
-        cls, pieces: Sequence[Piece], tree: Tree, leaves: Sequence[Leaf], leaf_tree: Tree | None, corners: Array, nothing: str
+        cls,
+        pieces: Sequence[Piece],
+        tree: Tree,
+        leaves: Sequence[Leaf],
+        leaf_tree: Tree | None,
+        corners: Array,
+        nothing: str,
     ) -> ComposedTool:
         if (corners[0] > corners[1]).any():
             raise InputError(f"nothing inside: {nothing}")
@@ -192,7 +201,11 @@ class ComposedTool:
         """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3) in the tool's frame."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         value, which, sign = _decided(self.pieces, self.tree, points)
-        distance, normal, foot = np.full(len(points), np.inf), np.zeros((len(points), 3)), np.full((len(points), 3), np.nan)
+        distance, normal, foot = (
+            np.full(len(points), np.inf),
+            np.zeros((len(points), 3)),
+            np.full((len(points), 3), np.nan),
+        )
         left = np.isfinite(points).all(axis=1)
         if self.leaf_tree is not None:
             left &= ~self._of_one_part(points, distance, foot)
@@ -314,10 +327,12 @@ class ComposedTool:
                 some = np.flatnonzero((active >= 0).all(axis=1))
                 if not len(some):
                     continue
-                y = nearest_on(self.pieces, x[rows[some]], start[some], active[some], self.cover.radius, self.size)
+                y, settled = nearest_on(
+                    self.pieces, x[rows[some]], start[some], active[some], self.cover.radius, self.size
+                )
                 gap = np.linalg.norm(y - x[rows[some]], axis=1)
                 mine = rows[some]
-                better = np.flatnonzero(gap < found[mine])
+                better = np.flatnonzero(settled & (gap < found[mine]))
                 better = better[self._on_surface(y[better])]
                 found[mine[better]], best[mine[better]] = gap[better], y[better]
 
@@ -369,7 +384,7 @@ def _seeds(pieces: Sequence[Piece], tree: Tree, cover: Cover, size: float) -> Se
     for k, piece in enumerate(pieces):
         low, high = piece.span(cover.centres, np.broadcast_to(1.5 * cover.half, cover.centres.shape))
         start = cover.centres[(low <= 0) & (high >= 0)]
-        y = nearest_on(pieces, start, start, np.full((len(start), 1), k), reach, size)
+        y, _ = nearest_on(pieces, start, start, np.full((len(start), 1), k), reach, size)
         y = y[np.linalg.norm(y - start, axis=1) <= 1.5 * reach]
         y = y[_on(pieces, tree, y, ON * size)]
         gradient = piece.level(y)[1]
@@ -380,6 +395,11 @@ def _seeds(pieces: Sequence[Piece], tree: Tree, cover: Cover, size: float) -> Se
         # a piece that is taken away faces the other way
         turn = _side(tree, k)
         normals.append(turn * gradient[steep > 0] / steep[steep > 0, None])
+    if not all(piece.distance for piece in pieces):
+        y, k, out = _sign_changes(pieces, tree, cover)
+        points.append(y)
+        names.append(k)
+        normals.append(out)
     at, piece_of, normal = np.concatenate(points), np.concatenate(names), np.concatenate(normals)
     near = np.full((len(at), NEAR), -1, dtype=np.int64)
     if not len(at):
@@ -393,6 +413,22 @@ def _seeds(pieces: Sequence[Piece], tree: Tree, cover: Cover, size: float) -> Se
         near[rows, filled[rows]] = k
         filled[rows] += 1
     return Seeds(at, piece_of, normal, near, nearest)
+
+
+def _sign_changes(pieces: Sequence[Piece], tree: Tree, cover: Cover) -> tuple[Array, Index, Array]:
+    """A point of the surface in each box whose corners have both signs, by bisection: where a formula has no gradient on
+    its surface, nothing else finds it. The normal is only the way from inside to outside."""
+    shift = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * cover.half
+    corners = cover.centres[:, None] + shift
+    solid = (_value(pieces, tree, corners.reshape(-1, 3)) < 0).reshape(-1, 8)
+    some = np.flatnonzero(solid.any(axis=1) & ~solid.all(axis=1))
+    a, b = corners[some, solid[some].argmax(axis=1)], corners[some, (~solid[some]).argmax(axis=1)]
+    out = b - a
+    for _ in range(52):
+        middle = 0.5 * (a + b)
+        within = (_value(pieces, tree, middle) < 0)[:, None]
+        a, b = np.where(within, middle, a), np.where(within, b, middle)
+    return b, _decided(pieces, tree, b)[1], out / np.maximum(np.linalg.norm(out, axis=1), 1e-300)[:, None]
 
 
 def _side(tree: Tree, piece: int) -> float:
@@ -441,5 +477,3 @@ def _finite(corners: Array, pieces: Sequence[Piece]) -> Array:
     known = corners[np.isfinite(corners)]
     reach = 2.0 * float(np.abs(known).max(initial=0.5))
     return np.where(np.isfinite(corners), corners, np.array([[-reach], [reach]]))
-
-

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 ENOUGH = 5000
 """Boxes of the surface at which no finer level is made; it has up to four times as many."""
 
-MOST_LEVELS = 16
+MOST_LEVELS = 20
 """A solid of a 1e-5 th of its box is still found."""
 
 
@@ -71,8 +71,10 @@ def make_cover(span: Callable[[Array, Array], tuple[Array, Array]], corners: Arr
         centres = centres[(low <= 0) & ~(high < 0)]
         if len(centres) == 0 or len(centres) >= enough or level == MOST_LEVELS - 1:
             break
-        half = 0.5 * half
-        shift = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * half
+        cut = half > 0.6 * half.max()  # boxes come near to cubes
+        half = np.where(cut, 0.5 * half, half)
+        sides = [(-1, 1) if c else (0,) for c in cut]
+        shift = np.array([[i, j, k] for i in sides[0] for j in sides[1] for k in sides[2]]) * half
         centres = (centres[:, None] + shift).reshape(-1, 3)
     if len(centres):
         low_corner = np.minimum(low_corner, centres.min(axis=0) - half)

@@ -31,6 +31,9 @@ FUNCTIONS: dict[str, tuple[int, int]] = {
 """The functions with the least and most number of arguments."""
 
 MOST_NODES = 2000
+MOST_BOXES = 20000
+"""Boxes in which a pole is looked for at once."""
+
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 
 
@@ -100,33 +103,33 @@ class Expression:
         """Where in the box (2, 3) the formula has a pole or is not a number, in words; empty when it is shown to have
         none."""
         low, high = box[:1].copy(), box[1:].copy()
-        for _ in range(30):
+        doubt = ""
+        for _ in range(40):
             _, _, fault, blame = self.bounds(low, high)
             if not fault.any():
-                return ""
+                return doubt
             low, high, blame = low[fault], high[fault], blame[fault]
             centre = 0.5 * (low + high)
             wrong = np.flatnonzero(~np.isfinite(self.value(centre)))
             if len(wrong):
-                return self._told(int(blame[wrong[0]]), centre[wrong[0]], "")
-            if len(low) > 4096 or (high - low <= 1e-9 * (box[1] - box[0])).all():
-                break
+                return self._told(int(blame[wrong[0]]), centre[wrong[0]], certain=True)
+            if len(low) > MOST_BOXES or doubt:  # as many as a surface of poles has: one place is followed to its end
+                low, high, centre = low[:8], high[:8], centre[:8]
+                doubt = self._told(int(blame[0]), centre[0], certain=False)
+            if (high - low <= 1e-6 * (box[1] - box[0])).all():
+                return self._told(int(blame[0]), centre[0], certain=False)
             low, high = _halved(low, high)
-            if len(low) > 60000:  # a whole surface of poles: a part of it tells as much
-                low, high = low[:30000], high[:30000]
-        at = int(np.argmin(np.linalg.norm(high - low, axis=1)))
-        return self._told(int(blame[min(at, len(blame) - 1)]), 0.5 * (low[at] + high[at]), "cannot be shown not to be ")
+        return doubt
 
-    def _told(self, node: int, at: Array, doubt: str) -> str:
+    def _told(self, node: int, at: Array, *, certain: bool) -> str:
         what = {
             "/": "division by zero", "**": "a power", "pow": "a power", "log": "the log of zero or less",
             "sqrt": "the root of a negative number", "tan": "a pole of tan", "asin": "asin beyond 1",
             "acos": "acos beyond 1", "hypot": "hypot", "exp": "exp",
         }.get(self.nodes[node].operation, self.nodes[node].operation)  # fmt: skip
         place = ", ".join(f"{c + 0.0:.4g}" for c in at)
-        if doubt:
-            return f"is not shown to be defined everywhere in its box: {what} near ({place})"
-        return f"is not a number everywhere in its box: {what} near ({place})"
+        told = "is not a number everywhere" if certain else "is not shown to be a number everywhere"
+        return f"{told} in its box: {what} near ({place})"
 
     def branches(self) -> tuple[str, tuple[Expression, ...]] | None:
         """The arguments of a min or max that stands outermost, each a formula of its own; None for another formula."""
@@ -188,7 +191,9 @@ class _Reader(ast.NodeVisitor):
                 if abs(node.value) > 1e300:
                     raise self.fault("the number is too large", self.at(node), "")
                 return self.add("constant", (), float(node.value))
-            raise self.fault(f"{node.value!r} is no number", self.at(node), "use numbers, x, y, z and functions of them")
+            raise self.fault(
+                f"{node.value!r} is no number", self.at(node), "use numbers, x, y, z and functions of them"
+            )
         if isinstance(node, ast.Name):
             if node.id in VARIABLES:
                 return self.add(node.id)
@@ -197,7 +202,9 @@ class _Reader(ast.NodeVisitor):
             if node.id in FUNCTIONS:
                 raise self.fault(f"{node.id} is a function", self.at(node), f"write {node.id}(...)")
             raise self.fault(
-                f"unknown name {node.id}", self.at(node), mend(node.id, (*VARIABLES, *CONSTANTS, *FUNCTIONS)).strip("()")
+                f"unknown name {node.id}",
+                self.at(node),
+                mend(node.id, (*VARIABLES, *CONSTANTS, *FUNCTIONS)).strip("()"),
             )
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
             inner = self.read(node.operand)
@@ -208,7 +215,9 @@ class _Reader(ast.NodeVisitor):
         if isinstance(node, ast.Call):
             return self.call(node)
         raise self.fault(
-            f"{ast.unparse(node)[:30]!r} is not allowed", self.at(node), "use numbers, x, y, z, + - * / ** and functions"
+            f"{ast.unparse(node)[:30]!r} is not allowed",
+            self.at(node),
+            "use numbers, x, y, z, + - * / ** and functions",
         )
 
     def call(self, node: ast.Call) -> int:
@@ -344,7 +353,11 @@ def _bounds(node: Node, spans: list[Span], low: Array, high: Array) -> tuple[Arr
             total_low, total_high = total_low + square[0], total_high + square[1]
         return *_out(np.sqrt(np.maximum(total_low, 0.0)) * (1 - 1e-15), np.sqrt(total_high)), None
     if o == "abs":
-        return np.where((a <= 0) & (b >= 0), 0.0, np.minimum(np.abs(a), np.abs(b))), np.maximum(np.abs(a), np.abs(b)), None
+        return (
+            np.where((a <= 0) & (b >= 0), 0.0, np.minimum(np.abs(a), np.abs(b))),
+            np.maximum(np.abs(a), np.abs(b)),
+            None,
+        )
     if o == "sqrt":
         small = 1e-12 * np.maximum(np.abs(a), np.abs(b))  # rounding of what is 0
         return *_out(np.sqrt(np.maximum(a, 0.0)), np.sqrt(np.maximum(b, 0.0))), a < -small

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .pieces import Piece
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 STEPS = 40
@@ -17,11 +18,13 @@ DONE = 1e-9
 """A step of this share of the size is the last one: the next would be of the order of its square."""
 
 
-def nearest_on(pieces: Sequence[Piece], x: Array, start: Array, active: Index, reach: float, size: float) -> Array:
-    """Points (n, 3) where the pieces active (n, k), k of 1 to 3, vanish, nearest to x (n, 3) around start (n, 3).
+def nearest_on(
+    pieces: Sequence[Piece], x: Array, start: Array, active: Index, reach: float, size: float
+) -> tuple[Array, Mask]:
+    """Points (n, 3) where the pieces active (n, k), k of 1 to 3, vanish, nearest to x (n, 3) around start (n, 3), and which
+    of them converged (n,).
 
-    reach : no step is longer. What does not converge is wherever it came to: the caller looks whether it lies on the
-    surface. Second derivatives are differences of gradients, which bounds how fast it converges, not how exactly.
+    reach : no step is longer. Second derivatives are differences of gradients, which bounds how fast it converges, not how exactly.
     """
     y = start.copy()
     left = np.arange(len(y))
@@ -33,7 +36,9 @@ def nearest_on(pieces: Sequence[Piece], x: Array, start: Array, active: Index, r
         step *= np.minimum(1.0, reach / np.maximum(length, 1e-300))[:, None]
         y[left] += step
         left = left[length > DONE * size]
-    return y
+    settled = np.ones(len(y), dtype=np.bool_)
+    settled[left] = False
+    return y, settled
 
 
 def _step(pieces: Sequence[Piece], x: Array, y: Array, active: Index, h: float) -> Array:

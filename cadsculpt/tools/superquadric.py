@@ -250,9 +250,7 @@ def _nearest_inside(a: Array, p: Array, seeds: Array, x: Array, best: Array, y: 
     least = np.inf
     for i in range(rows):
         for j in range(rows):
-            grid[i, j] = (
-                (seeds[i, j, 0] - x[0]) ** 2 + (seeds[i, j, 1] - x[1]) ** 2 + (seeds[i, j, 2] - x[2]) ** 2
-            )
+            grid[i, j] = (seeds[i, j, 0] - x[0]) ** 2 + (seeds[i, j, 1] - x[1]) ** 2 + (seeds[i, j, 2] - x[2]) ** 2
             least = min(least, grid[i, j])
     reach = (np.sqrt(least) + 0.2 * max(a[0], a[1], a[2])) ** 2
     found = np.inf
@@ -300,6 +298,14 @@ def _improve(a: Array, p: Array, x: Array, y: Array, g: Array, h: Array) -> floa
     """Newton's method on the surface for |y - x|^2 from y, radially back onto it; every step comes nearer. Returns it."""
     t, u, trial = np.empty(3), np.empty(3), np.empty(3)
     size = max(a[0], a[1], a[2])
+    # below p = 2 the surface is bent without end on the planes of symmetry, where nothing inside has its nearest point
+    # and every step ends by symmetry
+    for c in range(3):
+        if (p[0] < 2.0 or (p[1] < 2.0 and c < 2)) and y[c] < 1e-3 * a[c]:
+            y[c] = 1e-3 * a[c]
+    scale = norm_of(a, p, y)
+    for c in range(3):
+        y[c] /= scale
     d2 = (x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2
     for _ in range(60):
         norm_gradient(a, p, y, g)
