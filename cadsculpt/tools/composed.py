@@ -9,7 +9,7 @@ taken. Every answer is a point of the surface: too far at worst, never made up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -30,7 +30,6 @@ from .superquadric import SuperquadricTool
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Part = "ImplicitTool | SuperquadricTool | ComposedTool"
 
 ON = 1e-10
 """A point lies on the surface when the function there is below this share of the size."""
@@ -102,22 +101,24 @@ class ComposedTool:
         return cls._made(pieces, tree, (), None, corners, "the expression is nowhere negative in its box")
 
     @classmethod
-    def union(cls, parts: Sequence[tuple[Part, Pose]]) -> ComposedTool:
+    def union(cls, parts: Sequence[tuple[ImplicitTool | SuperquadricTool | ComposedTool, Pose]]) -> ComposedTool:
         """What lies in any of the parts."""
         return cls._joined("union", parts)
 
     @classmethod
-    def intersection(cls, parts: Sequence[tuple[Part, Pose]]) -> ComposedTool:
+    def intersection(cls, parts: Sequence[tuple[ImplicitTool | SuperquadricTool | ComposedTool, Pose]]) -> ComposedTool:
         """What lies in all parts. Raises InputError where they have nothing in common."""
         return cls._joined("intersection", parts)
 
     @classmethod
-    def difference(cls, parts: Sequence[tuple[Part, Pose]]) -> ComposedTool:
+    def difference(cls, parts: Sequence[tuple[ImplicitTool | SuperquadricTool | ComposedTool, Pose]]) -> ComposedTool:
         """The first part less the others. Raises InputError where nothing is left."""
         return cls._joined("difference", parts)
 
     @classmethod
-    def _joined(cls, how: str, parts: Sequence[tuple[Part, Pose]]) -> ComposedTool:
+    def _joined(
+        cls, how: str, parts: Sequence[tuple[ImplicitTool | SuperquadricTool | ComposedTool, Pose]]
+    ) -> ComposedTool:
         if len(parts) < 2:
             raise InputError(f"a {how} of {len(parts)} parts", mend="give it two or more")
         pieces: list[Piece] = []
@@ -280,7 +281,7 @@ class ComposedTool:
         # what no point of the surface stands for: from the point itself
         alone = np.flatnonzero(found > self.cover.clearance(x) + 2.0 * self.cover.radius)
         self._try(x, alone, x[alone], active[alone, None], found, best)
-        creased = np.flatnonzero((found == known) & (found > ON * self.size))
+        creased = np.flatnonzero((known > 0) & (found >= known * (1.0 - 1e-12)) & (found > ON * self.size))
         if len(creased):
             found[creased], best[creased] = self._creep(x[creased], found[creased], best[creased])
         distance[rows], foot[rows] = found, best
@@ -370,7 +371,7 @@ def _on(pieces: Sequence[Piece], tree: Tree, points: Array, slack: float) -> Mas
     return on
 
 
-def _spans(pieces: Sequence[Piece], tree: Tree):  # type: ignore[no-untyped-def]
+def _spans(pieces: Sequence[Piece], tree: Tree) -> Callable[[Array, Array], tuple[Array, Array]]:
     def spans(centre: Array, half: Array) -> tuple[Array, Array]:
         return tree.bounds([piece.span(centre, half) for piece in pieces])
 
@@ -391,7 +392,6 @@ def _seeds(pieces: Sequence[Piece], tree: Tree, cover: Cover, size: float) -> Se
         steep = np.linalg.norm(gradient, axis=1)
         points.append(y[steep > 0])
         names.append(np.full(int((steep > 0).sum()), k))
-        _, which, sign = _decided(pieces, tree, y[steep > 0])
         # a piece that is taken away faces the other way
         turn = _side(tree, k)
         normals.append(turn * gradient[steep > 0] / steep[steep > 0, None])

@@ -24,7 +24,8 @@ def nearest_on(
     """Points (n, 3) where the pieces active (n, k), k of 1 to 3, vanish, nearest to x (n, 3) around start (n, 3), and which
     of them converged (n,).
 
-    reach : no step is longer. Second derivatives are differences of gradients, which bounds how fast it converges, not how exactly.
+    reach : no step is longer. Second derivatives are differences of gradients, which bounds how fast it converges, not
+    how exactly.
     """
     y = start.copy()
     left = np.arange(len(y))

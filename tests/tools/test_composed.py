@@ -88,8 +88,7 @@ def solids():
                 ]
             ),
             lambda x: np.maximum(
-                ball(x),
-                0.3 - np.linalg.norm(x - np.column_stack([0.8 + 0 * x[:, 0], 0 * x[:, 0], np.clip(x[:, 2], -0.5, 0.5)]), axis=1),
+                ball(x), 0.3 - np.sqrt((x[:, 0] - 0.8) ** 2 + x[:, 1] ** 2 + np.maximum(np.abs(x[:, 2]) - 0.5, 0) ** 2)
             ),
         ),
     }  # fmt: skip
