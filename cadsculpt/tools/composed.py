@@ -23,7 +23,7 @@ from ..motion.pose import Pose
 from .cover import Cover, make_cover
 from .expression import Expression
 from .implicit import ImplicitTool, PlacedField
-from .newton import nearest_on
+from .newton import DONE, nearest_on
 from .pieces import Piece, Tree, formula_pieces, solid_pieces
 from .superquadric import SuperquadricTool
 
@@ -281,7 +281,7 @@ class ComposedTool:
         # what no point of the surface stands for: from the point itself
         alone = np.flatnonzero(found > self.cover.clearance(x) + 2.0 * self.cover.radius)
         self._try(x, alone, x[alone], active[alone, None], found, best)
-        creased = np.flatnonzero((known > 0) & (found >= known * (1.0 - 1e-12)) & (found > ON * self.size))
+        creased = np.flatnonzero((known > 0) & (found >= known - DONE * self.size) & (found > ON * self.size))
         if len(creased):
             found[creased], best[creased] = self._creep(x[creased], found[creased], best[creased])
         distance[rows], foot[rows] = found, best

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-CELLS = 48
+CELLS = 64
 """Cells along the longest side."""
 
 
