@@ -300,7 +300,7 @@ def test_a_faulty_formula_is_told_where_it_stands_even_in_a_part_of_a_part(expre
 
 
 def test_every_fault_of_every_part_is_told_once() -> None:
-    parts = [{"shape": "sphere"}, {"shape": "bocks", "at": [1, 2]}, {"shape": "superquadric", "radii": [1, 1, 1]}]
+    parts = [{"shape": "sphere"}, {"shape": "boxx", "at": [1, 2]}, {"shape": "superquadric", "radii": [1, 1, 1]}]
     parts[2]["exponents"] = [3, 0.05]
     faults = faults_of({**good(), "tool": [{"name": "tool", "shape": "union", "part": parts}]})
     assert [place[2:] for place, _ in faults] == [
