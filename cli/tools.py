@@ -44,15 +44,16 @@ def _tool_object(name: str, definition: Any) -> dict[str, Any]:
 
 def _sizes(tool: dict[str, Any]) -> str:
     """Sizes in words: "radius 8 mm"."""
-    numbers = {
-        key: value
-        for key, value in tool["sizes"].items()
-        if isinstance(value, (int, float) if not isinstance(value, list) else list) and not isinstance(value, bool)
-        if not isinstance(value, list) or all(isinstance(item, (int, float)) for item in value)
-    }
+    numbers = {key: value for key, value in tool["sizes"].items() if _is_size(value)}
     parts = []
     for key, value in numbers.items():
         several = isinstance(value, list)
         text = " x ".join(f"{item:g}" for item in value) if several else f"{value:g}"
         parts.append(f"{key} {text}")
     return f"{', '.join(parts)} {tool['units']}" if parts else ""
+
+
+def _is_size(value: Any) -> bool:
+    """A number or a list of numbers."""
+    items = value if isinstance(value, list) else [value]
+    return all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in items)

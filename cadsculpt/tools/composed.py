@@ -391,14 +391,14 @@ def _seeds(pieces: Sequence[Piece], tree: Tree, cover: Cover, size: float) -> Se
         gradient = piece.level(y)[1]
         steep = np.linalg.norm(gradient, axis=1)
         points.append(y[steep > 0])
-        names.append(np.full(int((steep > 0).sum()), k))
+        names.append(np.full(int((steep > 0).sum()), k, dtype=np.int64))
         # a piece that is taken away faces the other way
         turn = _side(tree, k)
         normals.append(turn * gradient[steep > 0] / steep[steep > 0, None])
     if not all(piece.distance for piece in pieces):
-        y, k, out = _sign_changes(pieces, tree, cover)
+        y, decided, out = _sign_changes(pieces, tree, cover)
         points.append(y)
-        names.append(k)
+        names.append(decided)
         normals.append(out)
     at, piece_of, normal = np.concatenate(points), np.concatenate(names), np.concatenate(normals)
     near = np.full((len(at), NEAR), -1, dtype=np.int64)

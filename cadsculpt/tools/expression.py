@@ -296,14 +296,14 @@ def _slope(node: Node, value: list[Array], slope: list[Array | None], points: Ar
     if o == "atan2":
         square = a[0] * a[0] + a[1] * a[1]
         return _sum([_times(a[1] / square, d[0]), _times(-a[0] / square, d[1])])
-    rate = {
+    rates: dict[str, Callable[[], Array]] = {
         "neg": lambda: -np.ones(1), "abs": lambda: np.sign(a[0]), "sqrt": lambda: 0.5 / v, "exp": lambda: v,
         "log": lambda: 1.0 / a[0], "sin": lambda: np.cos(a[0]), "cos": lambda: -np.sin(a[0]), "tan": lambda: 1.0 + v * v,
         "sinh": lambda: np.cosh(a[0]), "cosh": lambda: np.sinh(a[0]), "tanh": lambda: 1.0 - v * v,
         "asin": lambda: 1.0 / np.sqrt(1.0 - a[0] * a[0]), "acos": lambda: -1.0 / np.sqrt(1.0 - a[0] * a[0]),
         "atan": lambda: 1.0 / (1.0 + a[0] * a[0]),
-    }[o]()  # fmt: skip
-    return _times(rate, d[0])
+    }  # fmt: skip
+    return _times(rates[o](), d[0])
 
 
 def _times(factor: Array | float, slope: Array | None) -> Array | None:
