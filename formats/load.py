@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..collide.mesh import TriangleMesh
 from ..errors import CadsculptError, InputError
 from ..model import Model, SourceBody, build_model
 from ..motion.path import ToolPath
@@ -17,7 +18,7 @@ from ..session import Session
 from ..spline.refine import insert_knots, missing_knots
 from ..spline.surface import BSplineSurface
 from ..units import conversion
-from . import registry
+from . import mesh, registry
 from .part import Face, Part
 from .scene_toml import SceneFile
 
@@ -91,8 +92,16 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
         bodies.append(SourceBody(spec.name, tuple(_source_face(spec, part, face, scene.units) for face in chosen)))
         faces += [(path, face.number) for face in chosen]
     surfaces = {spec.name: _tool_surfaces(spec, scene, part_of) for spec in scene.tool if spec.shape == "surface"}
+    meshes: dict[str, TriangleMesh] = {}
+    for spec in scene.tool:
+        if spec.shape == "mesh":
+            file = scene.folder / (spec.file or "")
+            if on_file:
+                on_file(file.name)
+            meshes[spec.name] = mesh.read_mesh(file, conversion(spec.file_units or scene.units, scene.units))
+            warnings += [f"{file.name}: {line}" for line in meshes[spec.name].warnings]
     paths = {spec.name: _path(scene, spec.name) for spec in scene.tool}
-    model = build_model(scene, bodies, paths, surfaces)
+    model = build_model(scene, bodies, paths, surfaces, meshes)
     models = {path for path, _ in faces}
     return Loaded(
         scene, model, {path: part for path, part in parts.items() if path in models}, tuple(faces), tuple(warnings)

@@ -1,4 +1,4 @@
-"""Single meshes in and out: the lattice as .vtu, triangle meshes as STL, OBJ and PLY.
+"""Single meshes in and out: the lattice as .vtu, triangle meshes as STL, OBJ, PLY and OFF.
 
 meshio writes them and trimesh reads them (meshio's STL reader never ends on a truncated file); vertices are never
 merged or reordered. Importing this module loads neither.
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..collide.mesh import TriangleMesh
 from ..errors import InputError
 from ..record import LatticeFrame
 from .atomic import whole_path
@@ -21,7 +22,7 @@ from .atomic import whole_path
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-TRIANGLE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply"}
+TRIANGLE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply", ".off": "off"}
 """Suffixes and the libraries' names for them."""
 
 

@@ -7,21 +7,30 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..collide.mesh import TriangleMesh
 from ..errors import InputError
 from ..scene import ToolSpec
 from ..spline.surface import BSplineSurface
 from .implicit import ImplicitTool
+from .mesh import MeshTool
 from .point import PointTool
 from .surface import SurfaceTool
 
 Array = NDArray[np.float64]
-Tool = ImplicitTool | PointTool | SurfaceTool
+Tool = ImplicitTool | MeshTool | PointTool | SurfaceTool
 
 
 def make_tool(
-    spec: ToolSpec, spacing: float, resolution: int | tuple[int, int], surfaces: Sequence[BSplineSurface]
+    spec: ToolSpec,
+    spacing: float,
+    resolution: int | tuple[int, int],
+    surfaces: Sequence[BSplineSurface],
+    mesh: TriangleMesh | None = None,
 ) -> Tool:
-    """The tool that a [[tool]] table describes. `spacing` is the finest node spacing: a point stands for one node's cell."""
+    """The tool that a [[tool]] table describes. `spacing` is the finest node spacing: a point stands for one node's cell.
+
+    surfaces, mesh : what the file of a surface or mesh tool holds, in the scene's unit.
+    """
     where = f"tool {spec.name!r}"
     if spec.material is not None:
         raise InputError(
@@ -51,12 +60,16 @@ def make_tool(
                 return ImplicitTool.half_space()
             case "surface":
                 return SurfaceTool.of(list(surfaces), resolution)
+            case "mesh":
+                if mesh is None:
+                    raise InputError("a mesh tool needs a file", mend='write file = "..."')
+                return MeshTool.of(mesh)
     except InputError as error:
-        raise InputError(error.what, where=where, mend=error.mend) from None
+        raise type(error)(error.what, where=where, mend=error.mend) from None
     raise InputError(
         f"shape {spec.shape!r} cannot be run yet",
         where=where,
-        mend="use point, sphere, ellipsoid, capsule, cylinder, cone, box, torus, half_space or surface",
+        mend="use point, sphere, ellipsoid, capsule, cylinder, cone, box, torus, half_space, surface or mesh",
     )
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from . import implicit
 from .implicit import ImplicitTool
+from .mesh import MeshTool
 from .point import PointTool
 from .surface import SurfaceTool
 
@@ -16,7 +17,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-def outline(tool: ImplicitTool | PointTool | SurfaceTool, *, scene_size: float) -> tuple[Array, Index]:
+def outline(tool: ImplicitTool | MeshTool | PointTool | SurfaceTool, *, scene_size: float) -> tuple[Array, Index]:
     """Points (k, 3) in the tool's frame and triangles (f, 3), counter-clockwise seen from outside.
 
     scene_size : a length of the scene, for what has no size of its own (a point, a half-space).
@@ -25,6 +26,8 @@ def outline(tool: ImplicitTool | PointTool | SurfaceTool, *, scene_size: float) 
         return _revolve(np.array([[0.0, 0.0], [0.02, 0.08], [0.02, 0.4], [0.0, 0.4]]) * scene_size, 24)
     if isinstance(tool, SurfaceTool):
         return _patches(tool)
+    if isinstance(tool, MeshTool):
+        return tool.mesh.vertices, tool.mesh.triangles
     p, rounding = tool.parameters, tool.rounding
     if tool.kind == implicit.HALF_SPACE:
         x = scene_size * np.array([-0.6, 0.6])
