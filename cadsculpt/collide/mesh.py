@@ -61,8 +61,6 @@ class TriangleMesh:
         points, faces = topology.joined(points, faces)
         warnings: list[str] = []
         faces = topology.without_repeats(faces, warnings)
-        if not len(faces):
-            raise GeometryError("all its triangles are without area", mend="export the mesh again")
         points, faces = topology.used(points * scale, faces)
         _check_size(points, scale)
         links = topology.links_of(faces)

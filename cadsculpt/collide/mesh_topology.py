@@ -22,6 +22,9 @@ STRAIGHT = 2.0**-46
 opposite edge as exactly as coordinates can say."""
 
 
+NO_AREA = "all its triangles are without area"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
     """edges (f, 3) : the edge of each half-edge. ends (e, 2) : its vertices, the lower number first. uses (e,) : its
@@ -56,7 +59,10 @@ def used(points: Array, triangles: Index) -> tuple[Array, Index]:
 
 
 def without_repeats(triangles: Index, warnings: list[str]) -> Index:
-    """Without triangles that have a corner twice (their neighbours meet where they were), or that stand there twice."""
+    """Without triangles that have a corner twice (their neighbours meet where they were), or that stand there twice.
+
+    Raises GeometryError when none is left.
+    """
     a, b, c = triangles.T
     proper = (a != b) & (b != c) & (c != a)
     if not proper.all():
@@ -71,6 +77,8 @@ def without_repeats(triangles: Index, warnings: list[str]) -> Index:
     if again.any():
         warnings.append(f"{_triangles(int(again.sum()))} that stand there twice left out")
         triangles = triangles[~again]
+    if not len(triangles):
+        raise GeometryError(NO_AREA, mend="export the mesh again")
     return np.ascontiguousarray(triangles)
 
 
@@ -164,6 +172,8 @@ def mend_caps(points: Array, triangles: Index, scale: float, warnings: list[str]
             for m in range(3):
                 at[faces[s][m], faces[s][(m + 1) % 3]] = s
             waiting.append(s)
+    if len(gone) == len(faces):
+        raise GeometryError(NO_AREA, mend="export the mesh again")
     warnings.append(f"{_triangles(len(flat))} without area mended: the surface is the same without them")
     return np.array([face for t, face in enumerate(faces) if t not in gone], np.int64).reshape(-1, 3)
 
