@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit, njit_inline
-from .predicates import two_product
+from .predicates import minor_value
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -63,14 +63,6 @@ class MeshTree(NamedTuple):
     signed: bool
 
 
-@njit_inline
-def minor2(a: float, b: float, c: float, d: float) -> float:
-    """a d - b c to the last place or two, whatever cancels (Kahan)."""
-    p, e = two_product(a, d)
-    q, f = two_product(b, c)
-    return (p - q) + (e - f)
-
-
 @njit
 def gap2(vertices: Array, i: int, j: int) -> float:
     """Squared distance of two vertices."""
@@ -93,7 +85,7 @@ def frame_of(vertices: Array, i: int, j: int, k: int, row: Array) -> int:
     ux, uy, uz = vertices[a, 0] - vertices[c, 0], vertices[a, 1] - vertices[c, 1], vertices[a, 2] - vertices[c, 2]
     vx, vy, vz = vertices[b, 0] - vertices[c, 0], vertices[b, 1] - vertices[c, 1], vertices[b, 2] - vertices[c, 2]
     lx, ly, lz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-    nx, ny, nz = minor2(uy, uz, vy, vz), minor2(uz, ux, vz, vx), minor2(ux, uy, vx, vy)
+    nx, ny, nz = minor_value(uy, uz, vy, vz), minor_value(uz, ux, vz, vx), minor_value(ux, uy, vx, vy)
     largest = max(abs(nx), abs(ny), abs(nz))
     length = np.sqrt(lx * lx + ly * ly + lz * lz)
     if length > 0.0:
