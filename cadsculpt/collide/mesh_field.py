@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,3 +74,8 @@ class MeshField:
     def box(self) -> Array:
         """Low and high corner (2, 3)."""
         return self.mesh.box
+
+    def moved(self, rotation: Array, at: Array) -> MeshField:
+        """The mesh turned and moved, x -> rotation @ x + at, with a tree of its own: for distances to other meshes."""
+        vertices = np.ascontiguousarray(self.mesh.vertices @ rotation.T + at)
+        return MeshField.of(replace(self.mesh, vertices=vertices))

@@ -57,8 +57,9 @@ def tri_distance2(t: Array, p_frames: Array, p: int, q_frames: Array, q: int, pa
             d = closest_on(p_frames, p, t, k, work)
         if d < best:
             best = d
+            mine = 0 if k < 3 else 3
             for c in range(3):
-                pair[c], pair[3 + c] = (t[k, c], work[c]) if k < 3 else (work[c], t[k, c])
+                pair[mine + c], pair[3 - mine + c] = t[k, c], work[c]
     for i in range(3):
         for j in range(3):
             d = passing(t, i, (i + 1) % 3, 3 + j, 3 + (j + 1) % 3, work)
