@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..collide.mesh import TriangleMesh
-from ..errors import CadsculptError, InputError
+from ..errors import CadsculptError, GeometryError, InputError
 from ..model import Model, SourceBody, build_model
 from ..motion.path import ToolPath
 from ..patch import SourceEdge, SourceFace
@@ -93,13 +93,13 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
         faces += [(path, face.number) for face in chosen]
     surfaces = {spec.name: _tool_surfaces(spec, scene, part_of) for spec in scene.tool if spec.shape == "surface"}
     meshes: dict[str, TriangleMesh] = {}
-    for spec in scene.tool:
-        if spec.shape == "mesh":
-            file = scene.folder / (spec.file or "")
+    for tool in scene.tool:
+        if tool.shape == "mesh" and tool.file is not None:
+            file = scene.folder / tool.file
             if on_file:
                 on_file(file.name)
-            meshes[spec.name] = mesh.read_mesh(file, conversion(spec.file_units or scene.units, scene.units))
-            warnings += [f"{file.name}: {line}" for line in meshes[spec.name].warnings]
+            meshes[tool.name] = _tool_mesh(tool, file, scene.units)
+            warnings += [f"{file.name}: {line}" for line in meshes[tool.name].warnings]
     paths = {spec.name: _path(scene, spec.name) for spec in scene.tool}
     model = build_model(scene, bodies, paths, surfaces, meshes)
     models = {path for path, _ in faces}
@@ -130,6 +130,15 @@ def _tool_surfaces(
     _, part = part_of(spec.file)
     factor = conversion("mm", scene.units)
     return [face.surface.scaled(factor) for face in part.faces.select(spec.faces or "all")]
+
+
+def _tool_mesh(spec: ToolSpec, file: Path, units: str) -> TriangleMesh:
+    found = mesh.read_mesh(file, conversion(spec.file_units or units, units))
+    try:
+        found.require_closed()
+    except GeometryError as error:
+        raise GeometryError(error.what, where=f"tool {spec.name!r}: {file}", mend=error.mend) from None
+    return found
 
 
 def _path(scene: SceneFile, name: str) -> ToolPath:

@@ -66,7 +66,7 @@ def write_triangles(path: str | os.PathLike[str], points: Array, triangles: Inde
     path = Path(path)
     name = _format_of(path)
     mesh = meshio.Mesh(np.asarray(points, np.float64), [("triangle", np.asarray(triangles, np.int64))])
-    options: dict[str, Any] = {} if name == "obj" else {"binary": True}
+    options: dict[str, Any] = {"binary": True} if name in ("stl", "ply") else {}
     with whole_path(path) as temporary:
         meshio.write(temporary, mesh, file_format=name, **options)
 

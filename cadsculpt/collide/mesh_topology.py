@@ -110,9 +110,7 @@ def shells_of(triangles: Index, links: Links) -> Index:
     return shell
 
 
-def consistently_turned(
-    points: Array, triangles: Index, links: Links, scale: float, warnings: list[str]
-) -> Index:
+def consistently_turned(points: Array, triangles: Index, links: Links, scale: float, warnings: list[str]) -> Index:
     """The triangles, some of them turned over: neighbours run against each other along their edge, in every shell.
 
     Of the two ways of a shell that which turns fewer. Raises GeometryError for a surface with one side only.
@@ -185,7 +183,8 @@ def turned_outwards(
 
     A shell inside another closed one bounds a cavity, one inside that a solid again.
     """
-    volumes = np.bincount(shell, weights=_volumes(points, triangles), minlength=len(closed))
+    volumes = np.zeros(len(closed))
+    np.add.at(volumes, shell, _volumes(points, triangles))
     volumes[~closed] = 0.0
     depth = np.zeros(len(closed), np.int64)
     if closed.sum() > 1:
@@ -195,11 +194,9 @@ def turned_outwards(
         if wrong.sum() == closed.sum():
             warnings.append("the mesh was inside out and is turned")
         else:
-            warnings.append(
-                f"{int(wrong.sum())} of {len(closed)} shells turned: solids outwards, cavities inwards"
-            )
+            warnings.append(f"{int(wrong.sum())} of {len(closed)} shells turned: solids outwards, cavities inwards")
         triangles = np.ascontiguousarray(np.where(wrong[shell][:, None], triangles[:, ::-1], triangles))
-        volumes = np.where(wrong, -volumes, volumes)
+        volumes[wrong] *= -1.0
     return triangles, volumes
 
 

@@ -114,7 +114,9 @@ def frame_of(vertices: Array, i: int, j: int, k: int, row: Array) -> int:
 
 
 @njit
-def build(vertices: Array, triangles: Index, order: Index, box: Array, child: Index, frame: Array, corner: Index) -> int:
+def build(
+    vertices: Array, triangles: Index, order: Index, box: Array, child: Index, frame: Array, corner: Index
+) -> int:
     """Fill a tree over triangles (f, 3): order (f,) becomes the triangles in the leaves' order. Returns the number of nodes.
 
     box (m, 12) and child (m, 2) need room for max(1, f - 1) nodes.
@@ -301,7 +303,9 @@ def triangle_distance2(frame: Array, k: int, px: float, py: float, pz: float) ->
 
 
 @njit
-def nearest_triangle(tree: MeshTree, x: float, y: float, z: float, guess: int, stack: Index, bound: Array) -> tuple[int, int]:
+def nearest_triangle(
+    tree: MeshTree, x: float, y: float, z: float, guess: int, stack: Index, bound: Array
+) -> tuple[int, int]:
     """The nearest triangle (in the tree's order) to a point, and the part of it that is nearest.
 
     guess : a triangle that may be near, or -1. It changes the time, never the answer.

@@ -22,8 +22,10 @@ def cube(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def together(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    starts = np.cumsum([0] + [len(v) for v, _ in parts])
-    return np.concatenate([v for v, _ in parts]), np.concatenate([t + s for (_, t), s in zip(parts, starts)])
+    starts = np.cumsum([0] + [len(v) for v, _ in parts[:-1]])
+    return np.concatenate([v for v, _ in parts]), np.concatenate(
+        [t + s for (_, t), s in zip(parts, starts, strict=True)]
+    )
 
 
 def soup(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -33,7 +35,7 @@ def soup(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.nd
 
 def warnings_of(mesh: TriangleMesh, *said: str) -> None:
     assert len(mesh.warnings) == len(said), mesh.warnings
-    for line, words in zip(mesh.warnings, said):
+    for line, words in zip(mesh.warnings, said, strict=True):
         assert words in line
 
 
@@ -100,7 +102,7 @@ def test_triangles_that_lie_the_wrong_way_round_are_turned_over():
 def test_a_shell_in_a_shell_is_a_cavity_whichever_way_it_is_turned():
     outer, inner, core = cube(-3.0, 3.0), cube(-2.0, 2.0), cube(-1.0, 1.0)
     for turns in product((1, -1), repeat=3):
-        parts = [(v, t[:, ::turn]) for (v, t), turn in zip((inner, outer, core), turns)]
+        parts = [(v, t[:, ::turn]) for (v, t), turn in zip((inner, outer, core), turns, strict=True)]
         mesh = TriangleMesh.of(*together(*parts))
         assert mesh.shells == 3
         assert mesh.volume == pytest.approx(216.0 - 64.0 + 8.0)
@@ -172,8 +174,8 @@ def with_caps(count: int) -> tuple[np.ndarray, np.ndarray]:
     """A tetrahedron; along its edge from 1 to 2 lie `count` vertices, and the triangles between are flat."""
     inner = TETRA[1] + (TETRA[2] - TETRA[1]) * (np.arange(1, count + 1) / (count + 1))[:, None]
     chain = [1, *range(4, 4 + count), 2]
-    fan = [[1, b, a] for a, b in zip(chain[1:-1], chain[2:])]  # flat, from one end to the next two
-    side = [[3, a, b] for a, b in zip(chain[:-1], chain[1:])]
+    fan = [[1, b, a] for a, b in zip(chain[1:-1], chain[2:], strict=True)]  # flat, from one end to the next two
+    side = [[3, a, b] for a, b in zip(chain[:-1], chain[1:], strict=True)]
     return np.concatenate([TETRA, inner]), np.array([*OUTWARD[:3].tolist(), *fan, *side])
 
 

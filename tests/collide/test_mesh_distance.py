@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from cadsculpt.collide.mesh import TriangleMesh
 from cadsculpt.collide.mesh_distance import MeshDistance, mesh_distance
@@ -32,7 +31,7 @@ def checked(a: MeshField, b: MeshField) -> MeshDistance:
     back = mesh_distance(b, a)
     assert back.low <= found.high
     assert found.low <= back.high
-    for point, field, index in zip(found.points, (a, b), found.triangles):
+    for point, field, index in zip(found.points, (a, b), found.triangles, strict=True):
         assert np.abs(field.distance(point[None])[0]) <= 1e-13 * field.tree.size + 1e-15 * np.abs(point).max()
         corners = field.mesh.vertices[field.mesh.triangles[index]]
         assert triangle_distance(corners, [point] * 3).distance <= 1e-13 * field.tree.size + 1e-15 * np.abs(point).max()
@@ -109,7 +108,9 @@ def test_a_placed_mesh_is_a_field():
 def test_real_meshes_side_by_side(corpus):
     from cadsculpt.formats.mesh import read_mesh
 
-    torus, cavity = (MeshField.of(read_mesh(corpus / "mesh" / n)) for n in ("torus_default_resolution.stl", "ktoolcav.stl"))
+    torus, cavity = (
+        MeshField.of(read_mesh(corpus / "mesh" / n)) for n in ("torus_default_resolution.stl", "ktoolcav.stl")
+    )
     low, high = torus.box()
     beside = cavity.moved(np.eye(3), np.array([high[0] + 1.0 - cavity.box()[0, 0], 0.0, 0.0]))
     found = checked(torus, beside)

@@ -71,7 +71,9 @@ def around(mesh: TriangleMesh, count: int, seed: int) -> Array:
     weights[: count // 6, 1] = 0.0  # on a vertex
     weights /= weights.sum(axis=1, keepdims=True)
     size = np.linalg.norm(np.ptp(mesh.vertices, axis=0))
-    near = (weights[:, :, None] * p).sum(axis=1) + size * 10.0 ** rng.uniform(-5, -1, (count, 1)) * rng.normal(size=(count, 3))
+    near = (weights[:, :, None] * p).sum(axis=1) + size * 10.0 ** rng.uniform(-5, -1, (count, 1)) * rng.normal(
+        size=(count, 3)
+    )
     low, high = mesh.box
     return np.concatenate([near, rng.uniform(low - 0.3 * size, high + 0.3 * size, (count // 2, 3))])
 
@@ -130,9 +132,9 @@ def test_inside_is_where_the_mesh_goes_round(field):
 
 def test_a_distance_is_lipschitz(field):
     points = around(field.mesh, 2000, 3)
-    other = points + field.tree.size * 10.0 ** np.random.default_rng(4).uniform(-6, -1, (len(points), 1)) * np.random.default_rng(
-        5
-    ).normal(size=points.shape)
+    rng = np.random.default_rng(4)
+    step = field.tree.size * 10.0 ** rng.uniform(-6, -1, (len(points), 1))
+    other = points + step * rng.normal(size=points.shape)
     change = np.abs(field.distance(points) - field.distance(other))
     assert (change <= np.linalg.norm(points - other, axis=1) + 16 * rounding(field)).all()
 
@@ -151,7 +153,7 @@ def test_answers_do_not_depend_on_the_order_of_points(field):
     points = around(field.mesh, 600, 8)
     whole = field.query(points)
     order = np.random.default_rng(9).permutation(len(points))
-    for one, other in zip(whole, field.query(points[order])):
+    for one, other in zip(whole, field.query(points[order]), strict=True):
         np.testing.assert_array_equal(one[order], other)
     alone = [field.query(point)[0][0] for point in points[:100]]
     np.testing.assert_array_equal(whole[0][:100], alone)
@@ -176,7 +178,9 @@ def test_a_box_of_triangles_is_the_box():
     field = MeshField.of(TriangleMesh.of(vertices * size, triangles))
     points = np.random.default_rng(1).uniform(-2, 2, (20000, 3))
     corner = np.array(size) / 2
-    points[:2000] = corner * np.random.default_rng(2).choice([-1.0, 0.0, 1.0, 1.5], (2000, 3))  # edges, corners, on faces
+    points[:2000] = corner * np.random.default_rng(2).choice(
+        [-1.0, 0.0, 1.0, 1.5], (2000, 3)
+    )  # edges, corners, on faces
     distance, normal = ImplicitTool.box(size).field(points)
     np.testing.assert_allclose(field.distance(points), distance, rtol=0, atol=4e-16)
     clear = np.abs(distance) > 1e-3
@@ -237,8 +241,11 @@ def test_nothing_is_near_a_point_that_is_not_finite():
         assert np.isfinite(answer[2]).all()
 
 
+SOLIDS = ["cone_on_side", "fin0", "ktoolcav", "naca0012", "sphere_cutout", "torus_default_resolution", "sh1"]
+
+
 @pytest.mark.corpus
-@pytest.mark.parametrize("name", ["cone_on_side", "fin0", "ktoolcav", "naca0012", "sphere_cutout", "torus_default_resolution", "sh1"])  # fmt: skip
+@pytest.mark.parametrize("name", SOLIDS)
 def test_real_meshes_against_trimesh(corpus: Path, name: str) -> None:
     mesh = read_mesh(corpus / "mesh" / f"{name}.stl")
     assert mesh.closed
@@ -263,4 +270,6 @@ def test_a_real_sheet_is_open(corpus: Path) -> None:
     assert len(mesh.open_edges) == len(outline) == 252
     field = MeshField.of(mesh)
     points = around(mesh, 60, 13)
-    np.testing.assert_allclose(field.distance(points), brute_distance(mesh, points), rtol=1e-9, atol=64 * rounding(field))
+    np.testing.assert_allclose(
+        field.distance(points), brute_distance(mesh, points), rtol=1e-9, atol=64 * rounding(field)
+    )

@@ -23,7 +23,7 @@ SUPPORTS = [s for k in (1, 2, 3) for s in combinations(range(3), k)]
 
 def solved(matrix: list[list[Fraction]], right: list[Fraction]) -> list[Fraction] | None:
     """Gauss without rounding; None where the matrix is singular."""
-    rows = [[*row, value] for row, value in zip(matrix, right)]
+    rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
     n = len(rows)
     for k in range(n):
         pivot = next((i for i in range(k, n) if rows[i][k] != 0), None)
@@ -33,8 +33,12 @@ def solved(matrix: list[list[Fraction]], right: list[Fraction]) -> list[Fraction
         for i in range(n):
             if i != k and rows[i][k] != 0:
                 f = rows[i][k] / rows[k][k]
-                rows[i] = [x - f * y for x, y in zip(rows[i], rows[k])]
+                rows[i] = [x - f * y for x, y in zip(rows[i], rows[k], strict=True)]
     return [rows[k][n] / rows[k][k] for k in range(n)]
+
+
+def dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
+    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
 
 
 def exact_distance2(p: Array, q: Array) -> Fraction:
@@ -44,17 +48,16 @@ def exact_distance2(p: Array, q: Array) -> Fraction:
     best = None
     for I in SUPPORTS:  # noqa: N806
         for J in SUPPORTS:  # noqa: N806
-            w = [a - b for a, b in zip(P[I[0]], Q[J[0]])]
-            span = [[a - b for a, b in zip(P[i], P[I[0]])] for i in I[1:]]
-            span += [[a - b for a, b in zip(Q[J[0]], Q[j])] for j in J[1:]]
-            dot = lambda a, b: sum((x * y for x, y in zip(a, b)), Fraction(0))  # noqa: E731
+            w = [a - b for a, b in zip(P[I[0]], Q[J[0]], strict=True)]
+            span = [[a - b for a, b in zip(P[i], P[I[0]], strict=True)] for i in I[1:]]
+            span += [[a - b for a, b in zip(Q[J[0]], Q[j], strict=True)] for j in J[1:]]
             x = solved([[dot(a, b) for b in span] for a in span], [-dot(a, w) for a in span])
             if x is None:
                 continue
             mine, its = x[: len(I) - 1], x[len(I) - 1 :]
             if min([*mine, *its, 1 - sum(mine), 1 - sum(its)], default=0) < 0:
                 continue
-            r = [w[c] + sum(s * e[c] for s, e in zip(x, span)) for c in range(3)]
+            r = [w[c] + sum(s * e[c] for s, e in zip(x, span, strict=True)) for c in range(3)]
             value = dot(r, r)
             best = value if best is None else min(best, value)
     assert best is not None
@@ -131,7 +134,9 @@ def test_against_a_general_minimiser():
             return r @ r
 
         sums = [{"type": "ineq", "fun": lambda x, k=k: 1.0 - x[k] - x[k + 1]} for k in (0, 2)]
-        least = minimize(gap2, [0.3] * 4, bounds=[(0, 1)] * 4, constraints=sums, options={"ftol": 1e-14, "maxiter": 300}).fun
+        least = minimize(
+            gap2, [0.3] * 4, bounds=[(0, 1)] * 4, constraints=sums, options={"ftol": 1e-14, "maxiter": 300}
+        ).fun
         distance = triangle_distance(p, q).distance
         assert distance <= np.sqrt(max(least, 0.0)) + 1e-9
         assert distance == pytest.approx(np.sqrt(max(least, 0.0)), abs=2e-4)
