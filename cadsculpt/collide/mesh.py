@@ -67,8 +67,14 @@ class TriangleMesh:
         turned = topology.consistently_turned(points, faces, links, scale, warnings)
         mended = topology.mend_caps(points, turned, scale, warnings)
         if mended is not faces:
+            whole = bool((links.uses > 1).all())
             points, faces = topology.used(points, mended)
             links = topology.links_of(faces)
+            if whole and (links.uses == 1).any():
+                edge = topology.place(points, links.ends[links.uses == 1][0], scale)
+                raise GeometryError(
+                    f"triangles without area that cannot be mended, near {edge}", mend=topology.WITHOUT_THEM
+                )
         shell = topology.shells_of(faces, links)
         sound = links.balanced & (np.bincount(links.edges.ravel()) > 1)
         closed = np.ones(int(shell.max()) + 1, np.bool_)
@@ -79,9 +85,9 @@ class TriangleMesh:
             links = topology.links_of(faces)
         area = float(topology.areas(points, faces).sum())
         low, high = points.min(axis=0), points.max(axis=0)
-        whole = bool(closed.all()) and float(volumes.sum()) > HOLLOW * area * float(np.linalg.norm(high - low))
+        solid = bool(closed.all()) and float(volumes.sum()) > HOLLOW * area * float(np.linalg.norm(high - low))
         branched = links.ends[links.uses > 2]
-        if whole and len(branched):
+        if solid and len(branched):
             warnings.append(
                 f"{_counted(len(branched), 'edge has', 'edges have')} more than two triangles "
                 f"({topology.place(points, branched[0], scale)}): the solid touches itself there"
@@ -93,9 +99,9 @@ class TriangleMesh:
             open_edges=links.ends[links.uses == 1],
             branched_edges=branched,
             shells=len(closed),
-            closed=whole,
+            closed=solid,
             area=area,
-            volume=float(volumes.sum()) if whole else float("nan"),
+            volume=float(volumes.sum()) if solid else float("nan"),
             scale=scale,
             warnings=tuple(warnings),
         )

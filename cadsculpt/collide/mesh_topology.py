@@ -5,6 +5,7 @@ Half-edge 3 t + k runs from corner k of triangle t to the next.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ STRAIGHT = 2.0**-46
 opposite edge as exactly as coordinates can say."""
 
 
+WITHOUT_THEM = "leave such triangles out where the mesh is made"
 NO_AREA = "all its triangles are without area"
 
 
@@ -139,12 +141,12 @@ def mend_caps(points: Array, triangles: Index, scale: float, warnings: list[str]
     if not len(flat):
         return triangles
     faces = [tuple(row) for row in triangles.tolist()]
-    at = {(row[k], row[(k + 1) % 3]): t for t, row in enumerate(faces) for k in range(3)}
-    gone: set[int] = set()
-    waiting = sorted(flat.tolist(), reverse=True)
-    limit = 20 * len(waiting) + 100
+    gone = _back_to_back(faces, flat.tolist())
+    at = {(row[k], row[(k + 1) % 3]): t for t, row in enumerate(faces) if t not in gone for k in range(3)}
+    waiting = deque(flat.tolist())
+    limit, stuck = 20 * len(waiting) + 100, 0
     while waiting:
-        t = waiting.pop()
+        t = waiting.popleft()
         if t in gone or _apex_sine(points, np.array([faces[t]]))[0] > STRAIGHT:
             continue
         limit -= 1
@@ -159,12 +161,18 @@ def mend_caps(points: Array, triangles: Index, scale: float, warnings: list[str]
                 at.pop(e, None)
             continue
         d = next((v for v in faces[beyond] if v != a and v != c), -1)
-        if beyond == t or d == b or (b, d) in at or (d, b) in at:
+        blocked = beyond == t or d == b or (b, d) in at or (d, b) in at
+        if blocked and stuck < len(waiting) and limit > 0:  # others may clear the way
+            waiting.append(t)
+            stuck += 1
+            continue
+        if blocked:
             raise GeometryError(
                 f"{_triangles(len(flat))} without area, and {place(points, (a, c), scale)} it cannot be mended",
-                mend="leave such triangles out where the mesh is made",
+                mend=WITHOUT_THEM,
             )
         faces[t], faces[beyond] = (b, a, d), (d, c, b)
+        stuck = 0
         del at[a, c], at[c, a]
         for s in (t, beyond):
             for m in range(3):
@@ -233,6 +241,21 @@ def _apex_sine(points: Array, triangles: Index) -> Array:
     k = np.argmax(length * size[:, :, 0], axis=1)  # the longest edge; the apex is between the two others
     rows = np.arange(len(p))
     return np.linalg.norm(np.cross(unit[rows, (k + 1) % 3], unit[rows, (k + 2) % 3]), axis=1)
+
+
+def _back_to_back(faces: list[tuple[int, ...]], flat: list[int]) -> set[int]:
+    """Pairs of flat triangles with the same corners the other way round: what they join meets without them."""
+    gone: set[int] = set()
+    seen: dict[tuple[int, ...], list[int]] = {}
+    for t in flat:
+        k = faces[t].index(min(faces[t]))
+        a, b, c = (faces[t][(k + s) % 3] for s in range(3))
+        others = seen.get((a, c, b))
+        if others:
+            gone |= {t, others.pop()}
+        else:
+            seen.setdefault((a, b, c), []).append(t)
+    return gone
 
 
 def _longest(points: Array, face: tuple[int, ...]) -> int:

@@ -192,6 +192,55 @@ def test_triangles_without_area_are_mended(count, scale):
     assert len(mesh.triangles) == len(triangles)
 
 
+def with_many_caps(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """A cube; edges of some triangles are cut, and a flat triangle fills the gap to what has the whole edge. Flat ones are
+    cut again, corners come to lie on others, edges get more than two triangles."""
+    vertices, triangles = cube(-1.0, 1.0)
+    points, faces = list(vertices), [tuple(t) for t in triangles.tolist()]
+    for _ in range(count):
+        i = int(rng.integers(len(faces)))
+        a, b, c = faces[i]
+        points.append(points[a] + rng.choice([0.25, 0.5, 0.75]) * (points[b] - points[a]))
+        m = len(points) - 1
+        faces[i] = (a, m, c)
+        faces += [(m, b, c), (a, b, m)]
+    return np.array(points), np.array(faces)
+
+
+def test_what_is_closed_stays_closed_when_flat_triangles_are_mended():
+    mended = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        vertices, triangles = with_many_caps(rng, int(rng.integers(1, 30)))
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        try:
+            mesh = TriangleMesh.of(vertices @ turn.T, triangles, scale=25.4)
+        except GeometryError as error:
+            assert "cannot be mended" in str(error)
+            continue
+        mended += 1
+        assert mesh.closed
+        assert mesh.volume == pytest.approx(8.0 * 25.4**3)
+        assert mesh.area == pytest.approx(24.0 * 25.4**2)
+    assert mended >= 40
+
+
+def test_any_heap_of_triangles_is_a_mesh_or_one_line():
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        count = rng.integers(1, 9)
+        vertices = rng.integers(0, rng.integers(2, 4), (count, 3)).astype(float)
+        try:
+            mesh = TriangleMesh.of(vertices, rng.integers(0, count, (rng.integers(1, 14), 3)))
+        except GeometryError as error:
+            assert "\n" not in str(error)
+            continue
+        p = mesh.vertices[mesh.triangles]
+        assert (np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) > 1e-6).all()
+        assert mesh.closed == (mesh.fault == "")
+        assert not mesh.closed or mesh.volume > 0.0
+
+
 def test_a_flat_triangle_on_a_border_is_left_out():
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [1, 1, 0]])
     mesh = TriangleMesh.of(vertices, [[0, 1, 3], [1, 2, 3], [0, 2, 1]])
