@@ -73,9 +73,10 @@ def without_repeats(triangles: Index, warnings: list[str]) -> Index:
     start = np.argmin(triangles, axis=1)
     rows = np.arange(len(triangles))[:, None]
     turned = triangles[rows, (start[:, None] + np.arange(3)) % 3]
-    order = np.lexsort(turned.T[::-1])
+    first = np.empty(len(turned), np.int64)
+    join_equal(turned.view(np.uint64), first)
     again = np.zeros(len(turned), np.bool_)
-    again[order[1:]] = (turned[order[1:]] == turned[order[:-1]]).all(axis=1)
+    again[1:] = first[1:] <= np.maximum.accumulate(first)[:-1]  # new ones are numbered on
     if again.any():
         warnings.append(f"{_triangles(int(again.sum()))} that stand there twice left out")
         triangles = triangles[~again]
@@ -137,7 +138,8 @@ def mend_caps(points: Array, triangles: Index, scale: float, warnings: list[str]
 
     The surface stays where it is and what is closed stays closed. Raises GeometryError where it cannot be done.
     """
-    flat = np.flatnonzero(_apex_sine(points, triangles) <= STRAIGHT)
+    thin = _thin(points, triangles)
+    flat = thin[_apex_sine(points, triangles[thin]) <= STRAIGHT]
     if not len(flat):
         return triangles
     faces = [tuple(row) for row in triangles.tolist()]
@@ -228,6 +230,15 @@ def _volumes(points: Array, triangles: Index) -> Array:
     """Signed volumes (f,) of the tetrahedra on the middle of the mesh's box."""
     p = points[triangles] - 0.5 * (points.min(axis=0) + points.max(axis=0))
     return np.einsum("fi,fi->f", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6.0
+
+
+def _thin(points: Array, triangles: Index) -> Index:
+    """The triangles whose widest angle may be nearly straight, by a quick look."""
+    p = points[triangles] / np.abs(points).max()
+    a, b = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    n, c = np.cross(a, b), b - a
+    area2, aa, bb, cc = (np.einsum("fi,fi->f", x, x) for x in (n, a, b, c))
+    return np.flatnonzero(area2 * np.maximum(np.maximum(aa, bb), cc) <= 1e-12 * (aa * bb * cc))
 
 
 def _apex_sine(points: Array, triangles: Index) -> Array:
