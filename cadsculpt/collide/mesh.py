@@ -20,8 +20,8 @@ from .mesh_tree import FARTHEST
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-SMALLEST = 1e-100
-"""A mesh no larger than this is refused: its areas could not be told from zero."""
+SMALLEST = 1e-70
+"""A mesh no larger than this is refused: the squares of its areas could not be told from zero."""
 
 HOLLOW = 1e-12
 """A volume below this fraction of area times size is none: two sheets back to back."""

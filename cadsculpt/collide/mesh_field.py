@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .mesh import TriangleMesh
-from .mesh_tree import MeshTree, build, nearest_points, pseudo_normals
+from .mesh_build import build
+from .mesh_tree import MeshTree, nearest_points, pseudo_normals
 
 Array = NDArray[np.float64]
 

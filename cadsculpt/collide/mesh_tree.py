@@ -3,8 +3,7 @@
 Each triangle is kept in a frame of its own (M. W. Jones, "3D distance from a point to a triangle", 1995): origin at one
 end of its longest edge, x along that edge, y towards its third corner, z its normal. There a distance is one of a flat
 problem and a height, and stays accurate for slivers of any shape. Both angles at the longest edge are acute, so that a
-point below it is nearest to that edge. The tree is split by the surface area heuristic over sixteen bins (I. Wald, "On
-fast construction of SAH-based bounding volume hierarchies", 2007).
+point below it is nearest to that edge.
 
 The answer is the smallest of all triangles' computed distances, of equal ones that of the first triangle; boxes are
 dropped with a margin for rounding only, so that neither the tree nor the order of the points has a say in it.
@@ -23,18 +22,14 @@ from .predicates import minor_value
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-LEAF = 4
-"""Triangles in a leaf, at most."""
-
-BINS = 16
 DEEPEST = 40
-"""Below this depth a range is halved as it stands: no mesh makes the tree deeper than this and log2 of its triangles."""
+"""Below this depth `mesh_build` halves a range as it stands: no tree is deeper than this and log2 of its triangles."""
 
 ROUNDING = 2.0**-48
 """Error of a computed distance against the true one, relative to the farthest coordinate from the point."""
 
-FARTHEST = 1e100
-"""Coordinates up to this can be squared three times over."""
+FARTHEST = 1e70
+"""The fourth power of a coordinate up to this is finite."""
 
 FACE, AB, BC, CA, A, B, C = range(7)
 """Where the nearest point lies on a triangle A, B, C, its longest edge A B first."""
@@ -111,143 +106,6 @@ def frame_of(vertices: Array, i: int, j: int, k: int, row: Array) -> int:
     row[14] = max(-(ux * yx + uy * yy + uz * yz), 0.0)
     row[15] = row[13] * row[13] + row[14] * row[14]
     return start
-
-
-@njit
-def build(
-    vertices: Array, triangles: Index, order: Index, box: Array, child: Index, frame: Array, corner: Index
-) -> int:
-    """Fill a tree over triangles (f, 3): order (f,) becomes the triangles in the leaves' order. Returns the number of nodes.
-
-    box (m, 12) and child (m, 2) need room for max(1, f - 1) nodes.
-    """
-    f = len(triangles)
-    bounds = np.empty((f, 6))
-    for t in range(f):
-        order[t] = t
-        for c in range(3):
-            x, y, z = vertices[triangles[t, 0], c], vertices[triangles[t, 1], c], vertices[triangles[t, 2], c]
-            bounds[t, c], bounds[t, 3 + c] = min(x, y, z), max(x, y, z)
-    stack = np.empty((2 * DEEPEST + 256, 5), np.int64)
-    push(stack, 0, 0, f, 0, -1, 0)
-    top, nodes = 1, 0
-    count = np.empty(BINS, np.int64)
-    bins = np.empty((BINS, 6))
-    right = np.empty(BINS)
-    whole, middle = np.empty(6), np.empty(6)
-    while top > 0:
-        top -= 1
-        start, end, depth = stack[top, 0], stack[top, 1], stack[top, 2]
-        parent, side = stack[top, 3], stack[top, 4]
-        for c in range(3):
-            whole[c], whole[3 + c], middle[c], middle[3 + c] = np.inf, -np.inf, np.inf, -np.inf
-        for k in range(start, end):
-            t = order[k]
-            for c in range(3):
-                m = 0.5 * (bounds[t, c] + bounds[t, 3 + c])
-                whole[c], whole[3 + c] = min(whole[c], bounds[t, c]), max(whole[3 + c], bounds[t, 3 + c])
-                middle[c], middle[3 + c] = min(middle[c], m), max(middle[3 + c], m)
-        if parent >= 0:
-            for c in range(6):
-                box[parent, 6 * side + c] = whole[c]
-        if end - start <= LEAF:
-            if parent < 0:
-                parent, nodes = 0, 1
-                for c in range(6):
-                    box[0, c] = whole[c]
-                    box[0, 6 + c] = np.inf if c < 3 else -np.inf
-                child[0, 1] = -1
-            child[parent, side] = -1 - (8 * start + end - start)
-            continue
-        node = nodes
-        nodes += 1
-        if parent >= 0:
-            child[parent, side] = node
-        axis = 0
-        for c in range(1, 3):
-            if middle[3 + c] - middle[c] > middle[3 + axis] - middle[axis]:
-                axis = c
-        extent = middle[3 + axis] - middle[axis]
-        split = (start + end) // 2
-        if extent > 0.0 and depth < DEEPEST:
-            scale, low = BINS / extent, middle[axis]
-            cut = best_cut(order, start, end, bounds, axis, low, scale, count, bins, right)
-            i, j = start, end - 1
-            while i <= j:
-                t = order[i]
-                if bin_of(0.5 * (bounds[t, axis] + bounds[t, 3 + axis]), low, scale) < cut:
-                    i += 1
-                else:
-                    order[i], order[j] = order[j], t
-                    j -= 1
-            if start < i < end:
-                split = i
-        push(stack, top, split, end, depth + 1, node, 1)
-        push(stack, top + 1, start, split, depth + 1, node, 0)
-        top += 2
-    for k in range(f):
-        t = order[k]
-        i, j, m = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        first = frame_of(vertices, i, j, m, frame[k])
-        for s in range(3):
-            corner[k, s] = triangles[t, (first + s) % 3]
-    return nodes
-
-
-@njit
-def push(stack: Index, top: int, start: int, end: int, depth: int, parent: int, side: int) -> None:
-    """A range of triangles to be split, and the node's child that it is."""
-    stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3], stack[top, 4] = start, end, depth, parent, side
-
-
-@njit_inline
-def bin_of(x: float, low: float, scale: float) -> int:
-    """The bin of a coordinate."""
-    return min(int((x - low) * scale), BINS - 1)
-
-
-@njit
-def best_cut(
-    order: Index,
-    start: int,
-    end: int,
-    bounds: Array,
-    axis: int,
-    low: float,
-    scale: float,
-    count: Index,
-    bins: Array,
-    right: Array,
-) -> int:
-    """The first bin of the right part, by the least sum of area times number."""
-    for b in range(BINS):
-        count[b] = 0
-        for c in range(3):
-            bins[b, c], bins[b, 3 + c] = np.inf, -np.inf
-    for k in range(start, end):
-        t = order[k]
-        b = bin_of(0.5 * (bounds[t, axis] + bounds[t, 3 + axis]), low, scale)
-        count[b] += 1
-        for c in range(3):
-            bins[b, c], bins[b, 3 + c] = min(bins[b, c], bounds[t, c]), max(bins[b, 3 + c], bounds[t, 3 + c])
-    part = np.empty(6)
-    for direction in range(2):
-        number = 0
-        for c in range(3):
-            part[c], part[3 + c] = np.inf, -np.inf
-        best, cut = np.inf, 1
-        for s in range(BINS - 1):
-            b = s if direction == 1 else BINS - 1 - s
-            number += count[b]
-            for c in range(3):
-                part[c], part[3 + c] = min(part[c], bins[b, c]), max(part[3 + c], bins[b, 3 + c])
-            x, y, z = max(part[3] - part[0], 0.0), max(part[4] - part[1], 0.0), max(part[5] - part[2], 0.0)
-            cost = number * (x * y + y * z + z * x)
-            if direction == 0:
-                right[b] = cost
-            elif cost + right[b + 1] < best and 0 < number < end - start:
-                best, cut = cost + right[b + 1], b + 1
-    return cut
 
 
 @njit_inline

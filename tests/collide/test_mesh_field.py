@@ -233,6 +233,16 @@ def test_slivers_are_as_exact_as_others(exponent, along, seed):
     assert (distance >= to_edge - height - 4e-16).all()
 
 
+@pytest.mark.parametrize("scale", [1e-68, 1e-6, 1e6, 1e68])
+def test_a_mesh_may_have_any_size(scale):
+    field = star(5)
+    scaled = MeshField.of(TriangleMesh.of(field.mesh.vertices, field.mesh.triangles, scale=scale))
+    points = around(field.mesh, 300, 14)
+    np.testing.assert_allclose(
+        scaled.distance(scale * points), scale * field.distance(points), rtol=1e-9, atol=1e-14 * scale
+    )
+
+
 def test_nothing_is_near_a_point_that_is_not_finite():
     field = field_of(trimesh.creation.box())
     points = np.array([[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 0], [0, 0, 1e200]])
