@@ -1,7 +1,7 @@
 """From a scene's text and the surfaces of its files to a `Model`: everything precomputed, nothing that changes.
 
 The engine opens no file. Whoever reads files hands over `SourceBody`s (the faces to be sculpted, in the scene's unit, with
-the edges where they meet other faces), the surfaces of surface tools, and the tool paths.
+the edges where they meet other faces), the surfaces of surface tools, the meshes of mesh tools, and the tool paths.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.detect import DetectOptions
+from .collide.mesh import TriangleMesh
 from .errors import InputError
 from .motion.path import ToolPath
 from .patch import Patch, SourceFace, build_patch, mean_lengths
@@ -75,6 +76,7 @@ def build_model(
     bodies: Sequence[SourceBody],
     paths: Mapping[str, ToolPath],
     tool_surfaces: Mapping[str, Sequence[BSplineSurface]] | None = None,
+    tool_meshes: Mapping[str, TriangleMesh] | None = None,
 ) -> Model:
     """Precompute a scene (paper section 4.1, "pre-processing phase").
 
@@ -93,9 +95,13 @@ def build_model(
         for face in body.faces
     ]
     finest = min(min(spacing) for *_, spacing in faces)
-    surfaces = tool_surfaces or {}
+    surfaces, meshes = tool_surfaces or {}, tool_meshes or {}
     tools = tuple(
-        ToolBody(spec.name, make_tool(spec, finest, solver.resolution, surfaces.get(spec.name, ())), paths[spec.name])
+        ToolBody(
+            spec.name,
+            make_tool(spec, finest, solver.resolution, surfaces.get(spec.name, ()), meshes.get(spec.name)),
+            paths[spec.name],
+        )
         for spec in scene.tool
     )
     swept = np.concatenate([swept_boxes(tool) for tool in tools])

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from .collide.detect import DetectOptions, PatchGrid, detect
+from .collide.mesh import TriangleMesh
 from .model import SourceBody, build_model
 from .motion.path import ToolPath
 from .motion.pose import Pose
@@ -20,12 +21,12 @@ from .tools.superquadric import SuperquadricTool
 
 def warm_up(scene: Scene) -> None:
     """Run two steps of a plate of four by four control points under the scene's kinds of tools."""
-    kinds = {"point" if t.shape == "point" else "surface" if t.shape == "surface" else "sphere" for t in scene.tool}
+    kinds = {t.shape if t.shape in ("point", "surface", "mesh") else "sphere" for t in scene.tool}
     tools: list[dict[str, Any]] = [{"name": kind, "shape": kind} for kind in sorted(kinds)]
     for tool in tools:
         if tool["shape"] == "sphere":
             tool["radius"] = 3.0
-        if tool["shape"] == "surface":
+        if tool["shape"] in ("surface", "mesh"):
             tool["file"] = "plate"
     tiny = Scene.model_validate(
         {
@@ -37,16 +38,17 @@ def warm_up(scene: Scene) -> None:
     )
     if any("superquadric" in _shapes(tool) for tool in scene.tool):
         SuperquadricTool.of((1.0, 1.0, 1.0), (1.0, 1.0)).field(np.zeros((1, 3)))
-    low = {"point": -0.1, "sphere": 2.9, "surface": -0.1}
+    low = {"point": -0.1, "sphere": 2.9, "surface": -0.1, "mesh": -0.1}
     paths = {kind: ToolPath.resting(Pose(np.array([5.0, 5.0, low[kind]]))) for kind in kinds}
     plate = _plate(10.0, 0.0)
     # collision first: a second process may be at work on the lattice's kernels meanwhile
     grid = PatchGrid.of(plate, 13)
+    meshes = {"mesh": _tetrahedron(4.0)} if "mesh" in kinds else {}
     for spec in tiny.tool:
-        made = make_tool(spec, 2.0, 13, [_plate(4.0, 0.2)])
+        made = make_tool(spec, 2.0, 13, [_plate(4.0, 0.2)], meshes.get(spec.name))
         detect([grid], [plate.control_points], [made.placed(paths[spec.name].pose(0.0))], DetectOptions())
     body = SourceBody("plate", (SourceFace(1, "plate", plate),))
-    session = Session(build_model(tiny, [body], paths, {"surface": [_plate(4.0, 0.2)]}))
+    session = Session(build_model(tiny, [body], paths, {"surface": [_plate(4.0, 0.2)]}, meshes))
     for _ in range(2):
         session.step()
     session.refit_error(0)
@@ -91,3 +93,8 @@ def _plate(size: float, dome: float) -> BSplineSurface:
     knots = np.array([0.0, 0, 0, 0, 0.5, 1, 1, 1, 1])
     shift = np.array([0.0, 0.0, 0.0]) if dome == 0.0 else np.array([-0.5 * size, -0.5 * size, 0.0])
     return BSplineSurface(np.stack([X, Y, Z], axis=-1) + shift, knots, knots, 3, 3, outward=dome == 0.0)
+
+
+def _tetrahedron(size: float) -> TriangleMesh:
+    corners = size * np.array([[0.0, 0, 0], [-1, 0, 2], [1, -1, 2], [1, 1, 2]])
+    return TriangleMesh.of(corners, [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]])

@@ -1,4 +1,4 @@
-"""`cadsculpt inspect`: the faces of a CAD file."""
+"""`cadsculpt inspect`: the faces of a CAD file, or the triangles of a mesh."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from .console import ProgressDisplay, number, print_json, print_pairs, print_tab
 def command(file: Path, as_json: bool, units: str | None, quiet: bool) -> int:
     """List the faces of a CAD FILE (STEP, IGES, 3DM or patch JSON): name, kind, net, area, size.
 
+    Of a mesh (STL, OBJ, PLY, OFF), say whether it is watertight, its area and volume.
     Lengths are in mm and areas in mm2, whatever the file's unit.
 
     \b
@@ -26,12 +27,16 @@ def command(file: Path, as_json: bool, units: str | None, quiet: bool) -> int:
     cadsculpt inspect part.igs --json | jq '.faces[].name'
     """
     from ..formats import registry
-    from ..formats.inspect import inspect_object
+    from ..formats.inspect import inspect_object, mesh_object
+    from ..formats.mesh import TRIANGLE_FORMATS
 
     with ProgressDisplay(quiet=quiet) as progress:
         progress.update("reading", remark=file.name)
-        part = registry.read(file, units=units)
-        found = inspect_object(part, lambda done, total: progress.update("looking at faces", done, total))
+        if file.suffix.lower() in TRIANGLE_FORMATS:
+            found = mesh_object(file, units)
+        else:
+            part = registry.read(file, units=units)
+            found = inspect_object(part, lambda done, total: progress.update("looking at faces", done, total))
     if as_json:
         print_json(found)
         return 0
@@ -39,7 +44,7 @@ def command(file: Path, as_json: bool, units: str | None, quiet: bool) -> int:
         [
             ("format", found["format"]),
             ("units", found["units"] or "none"),
-            ("faces", str(len(found["faces"]))),
+            *(_mesh_pairs(found) if "triangles" in found else [("faces", str(len(found["faces"])))]),
             ("area", number(found["area"], "mm2", 8)),
             ("size", _size(found["bbox"], " mm")),
         ]
@@ -51,6 +56,16 @@ def command(file: Path, as_json: bool, units: str | None, quiet: bool) -> int:
     for warning in found["warnings"]:
         warn(warning)
     return 0
+
+
+def _mesh_pairs(found: dict[str, Any]) -> list[tuple[str, str]]:
+    open_edges = f"no, {found['open_edges']} open edges" if found["open_edges"] else "no"
+    return [
+        ("triangles", str(found["triangles"])),
+        ("watertight", "yes" if found["closed"] else open_edges),
+        ("shells", str(found["shells"])),
+        ("volume", number(found["volume"], "mm3", 8)),
+    ]
 
 
 def _row(face: dict[str, Any]) -> list[str]:

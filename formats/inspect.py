@@ -1,12 +1,14 @@
-"""What a CAD file holds: the object of `inspect --json`, in mm and mm2 whatever the file's unit."""
+"""What a CAD or mesh file holds: the object of `inspect --json`, in mm and mm2 whatever the file's unit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 from ..errors import CadsculptError
+from ..units import conversion, unit_name
 from .part import Face, Part
 
 T = TypeVar("T")
@@ -39,6 +41,37 @@ def inspect_object(part: Part, on_face: Callable[[int, int], None] | None = None
         if boxes
         else None,
         "warnings": list(dict.fromkeys(warnings)),
+    }
+
+
+def mesh_object(path: Path, units: str | None = None) -> dict[str, Any]:
+    """The object of a mesh file: no faces, and what is known of its triangles.
+
+    units : of the file's numbers, which name none; mm, with a warning, when left out. `volume` is None where the mesh
+    is open. Raises InputError or GeometryError when the file cannot be read or holds no surface.
+    """
+    from .mesh import read_mesh
+
+    unit = "mm" if units is None else unit_name(units)
+    mesh = read_mesh(path, conversion(unit, "mm"))
+    warnings = list(mesh.warnings)
+    if units is None:
+        warnings.insert(0, "a mesh file names no unit: its numbers are taken as mm")
+    if mesh.fault:
+        warnings.append(f"{mesh.fault}: it cannot be a tool")
+    return {
+        "format": path.suffix.lower().lstrip("."),
+        "units": None if units is None else unit,
+        "faces": [],
+        "vertices": len(mesh.vertices),
+        "triangles": len(mesh.triangles),
+        "shells": mesh.shells,
+        "closed": mesh.closed,
+        "open_edges": len(mesh.open_edges),
+        "area": mesh.area,
+        "volume": mesh.volume if mesh.closed else None,
+        "bbox": [float(x) for x in mesh.box.ravel()],
+        "warnings": warnings,
     }
 
 

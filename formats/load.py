@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import CadsculptError, InputError
+from ..collide.mesh import TriangleMesh
+from ..errors import CadsculptError, GeometryError, InputError
 from ..model import Model, SourceBody, build_model
 from ..motion.path import ToolPath
 from ..patch import SourceEdge, SourceFace
@@ -17,7 +18,7 @@ from ..session import Session
 from ..spline.refine import insert_knots, missing_knots
 from ..spline.surface import BSplineSurface
 from ..units import conversion
-from . import registry
+from . import mesh, registry
 from .part import Face, Part
 from .scene_toml import SceneFile
 
@@ -91,8 +92,16 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
         bodies.append(SourceBody(spec.name, tuple(_source_face(spec, part, face, scene.units) for face in chosen)))
         faces += [(path, face.number) for face in chosen]
     surfaces = {spec.name: _tool_surfaces(spec, scene, part_of) for spec in scene.tool if spec.shape == "surface"}
+    meshes: dict[str, TriangleMesh] = {}
+    for tool in scene.tool:
+        if tool.shape == "mesh" and tool.file is not None:
+            file = scene.folder / tool.file
+            if on_file:
+                on_file(file.name)
+            meshes[tool.name] = _tool_mesh(tool, file, scene.units)
+            warnings += [f"{file.name}: {line}" for line in meshes[tool.name].warnings]
     paths = {spec.name: _path(scene, spec.name) for spec in scene.tool}
-    model = build_model(scene, bodies, paths, surfaces)
+    model = build_model(scene, bodies, paths, surfaces, meshes)
     models = {path for path, _ in faces}
     return Loaded(
         scene, model, {path: part for path, part in parts.items() if path in models}, tuple(faces), tuple(warnings)
@@ -121,6 +130,15 @@ def _tool_surfaces(
     _, part = part_of(spec.file)
     factor = conversion("mm", scene.units)
     return [face.surface.scaled(factor) for face in part.faces.select(spec.faces or "all")]
+
+
+def _tool_mesh(spec: ToolSpec, file: Path, units: str) -> TriangleMesh:
+    found = mesh.read_mesh(file, conversion(spec.file_units or units, units))
+    try:
+        found.require_closed()
+    except GeometryError as error:
+        raise GeometryError(error.what, where=f"tool {spec.name!r}: {file}", mend=error.mend) from None
+    return found
 
 
 def _path(scene: SceneFile, name: str) -> ToolPath:

@@ -1,4 +1,4 @@
-"""Single meshes in and out: the lattice as .vtu, triangle meshes as STL, OBJ and PLY.
+"""Single meshes in and out: the lattice as .vtu, triangle meshes as STL, OBJ, PLY and OFF.
 
 meshio writes them and trimesh reads them (meshio's STL reader never ends on a truncated file); vertices are never
 merged or reordered. Importing this module loads neither.
@@ -7,6 +7,7 @@ merged or reordered. Importing this module loads neither.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..collide.mesh import TriangleMesh
+from ..errors import GeometryError, InputError
 from ..record import LatticeFrame
 from .atomic import whole_path
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-TRIANGLE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply"}
+TRIANGLE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply", ".off": "off"}
 """Suffixes and the libraries' names for them."""
 
 
@@ -64,7 +66,7 @@ def write_triangles(path: str | os.PathLike[str], points: Array, triangles: Inde
     path = Path(path)
     name = _format_of(path)
     mesh = meshio.Mesh(np.asarray(points, np.float64), [("triangle", np.asarray(triangles, np.int64))])
-    options: dict[str, Any] = {} if name == "obj" else {"binary": True}
+    options: dict[str, Any] = {"binary": True} if name in ("stl", "ply") else {}
     with whole_path(path) as temporary:
         meshio.write(temporary, mesh, file_format=name, **options)
 
@@ -90,11 +92,40 @@ def read_triangles(path: str | os.PathLike[str]) -> tuple[Array, Index]:
         raise InputError(what, where=str(path), mend="export it again") from error
     if not len(triangles):
         raise InputError("the mesh has no faces", where=str(path), mend="export the mesh again")
+    promised = _promised(path, name)
+    if len(points) < promised[0] or len(triangles) < promised[1]:
+        held = f"{len(points)} of {promised[0]} vertices and {len(triangles)} of {promised[1]} faces"
+        raise InputError(f"the file ends early: it holds {held}", where=str(path), mend="export the mesh again")
     if not np.isfinite(points).all():
         raise InputError("a vertex is not a finite number", where=str(path), mend="export the mesh again")
     if triangles.min() < 0 or triangles.max() >= len(points):
         raise InputError("a face names a vertex that is not there", where=str(path), mend="export the mesh again")
     return points, triangles
+
+
+def read_mesh(path: str | os.PathLike[str], scale: float = 1.0) -> TriangleMesh:
+    """The mesh of a file, its numbers times `scale`, joined and checked.
+
+    Raises InputError when the file cannot be read, GeometryError when what it holds is no surface.
+    """
+    points, triangles = read_triangles(path)
+    try:
+        return TriangleMesh.of(points, triangles, scale=scale)
+    except GeometryError as error:
+        raise GeometryError(error.what, where=str(path), mend=error.mend) from None
+
+
+def _promised(path: Path, name: str) -> tuple[int, int]:
+    """How many vertices and faces the head of a PLY or OFF file promises: their readers take what there is."""
+    with open(path, "rb") as file:
+        head = file.read(65536).decode("latin-1")
+    if name == "ply":
+        counts = [re.search(rf"^element {what} (\d+)", head, re.MULTILINE) for what in ("vertex", "face")]
+        return int(counts[0].group(1)) if counts[0] else 0, int(counts[1].group(1)) if counts[1] else 0
+    if name == "off":
+        numbers = re.match(r"\s*OFF\s+(?:#.*\s+)*(\d+)\s+(\d+)", head)
+        return (int(numbers.group(1)), int(numbers.group(2))) if numbers else (0, 0)
+    return 0, 0
 
 
 def _format_of(path: Path) -> str:

@@ -41,6 +41,14 @@ def two_product(a: float, b: float) -> tuple[float, float]:
     return x, a_low * b_low - (((x - a_high * b_high) - a_low * b_high) - a_high * b_low)
 
 
+@njit_inline
+def minor_value(ax: float, ay: float, bx: float, by: float) -> float:
+    """ax by - bx ay to the last place or two, whatever cancels (Kahan)."""
+    p, e = two_product(ax, by)
+    q, f = two_product(bx, ay)
+    return (p - q) + (e - f)
+
+
 @njit
 def minor(ax: float, ay: float, bx: float, by: float, h: Array) -> int:
     """The expansion of ax by - bx ay into h (up to 4 components, zeros left out); returns its length."""

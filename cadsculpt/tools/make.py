@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..collide.mesh import TriangleMesh
 from ..errors import InputError
 from ..motion.pose import Pose
 from ..scene import ShapeSpec, ToolSpec
 from ..spline.surface import BSplineSurface
 from .composed import ComposedTool
 from .implicit import ImplicitTool
+from .mesh import MeshTool
 from .point import PointTool
 from .superquadric import SuperquadricTool
 from .surface import SurfaceTool
@@ -22,13 +24,20 @@ Array = NDArray[np.float64]
 Body = ImplicitTool | SuperquadricTool | ComposedTool
 """A tool with a signed distance."""
 
-Tool = Body | PointTool | SurfaceTool
+Tool = Body | MeshTool | PointTool | SurfaceTool
 
 
 def make_tool(
-    spec: ToolSpec, spacing: float, resolution: int | tuple[int, int], surfaces: Sequence[BSplineSurface]
+    spec: ToolSpec,
+    spacing: float,
+    resolution: int | tuple[int, int],
+    surfaces: Sequence[BSplineSurface],
+    mesh: TriangleMesh | None = None,
 ) -> Tool:
-    """The tool that a [[tool]] table describes. `spacing` is the finest node spacing: a point stands for one node's cell."""
+    """The tool that a [[tool]] table describes. `spacing` is the finest node spacing: a point stands for one node's cell.
+
+    surfaces, mesh : what the file of a surface or mesh tool holds, in the scene's unit.
+    """
     where = f"tool {spec.name!r}"
     if spec.material is not None:
         raise InputError(
@@ -43,11 +52,13 @@ def make_tool(
             case "surface":
                 return SurfaceTool.of(list(surfaces), resolution)
             case "mesh":
-                raise InputError('shape "mesh" cannot be run yet', mend="use one of the other shapes")
+                if mesh is None:
+                    raise InputError("a mesh tool needs a file", mend='write file = "..."')
+                return MeshTool.of(mesh)
         return make_body(spec)
     except InputError as error:
         inner = f", {error.where}" if error.where else ""
-        raise InputError(error.what, where=where + inner, mend=error.mend) from None
+        raise type(error)(error.what, where=where + inner, mend=error.mend) from None
 
 
 def make_body(spec: ShapeSpec) -> Body:

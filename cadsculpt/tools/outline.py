@@ -11,6 +11,7 @@ from . import implicit
 from .composed import ComposedTool
 from .contour import contour
 from .implicit import ImplicitTool
+from .mesh import MeshTool
 from .point import PointTool
 from .superquadric import SuperquadricTool
 from .surface import SurfaceTool
@@ -20,7 +21,7 @@ Index = NDArray[np.int64]
 
 
 def outline(
-    tool: ImplicitTool | SuperquadricTool | ComposedTool | PointTool | SurfaceTool, *, scene_size: float
+    tool: ImplicitTool | SuperquadricTool | ComposedTool | MeshTool | PointTool | SurfaceTool, *, scene_size: float
 ) -> tuple[Array, Index]:
     """Points (k, 3) in the tool's frame and triangles (f, 3), counter-clockwise seen from outside.
 
@@ -30,6 +31,8 @@ def outline(
         return _revolve(np.array([[0.0, 0.0], [0.02, 0.08], [0.02, 0.4], [0.0, 0.4]]) * scene_size, 24)
     if isinstance(tool, SurfaceTool):
         return _patches(tool)
+    if isinstance(tool, MeshTool):
+        return tool.mesh.vertices, tool.mesh.triangles
     if isinstance(tool, SuperquadricTool):
         return contour(lambda x: tool.field(x)[0], tool.field, tool.box_corners)
     if isinstance(tool, ComposedTool):

@@ -1,4 +1,4 @@
-"""Make the parts of the cases in parts/: a flat plate, a paraboloid dome, a trimmed plate and a tool surface.
+"""Make the parts of the cases in parts/: a flat plate, a paraboloid dome, a trimmed plate, a tool surface and a tool mesh.
 
 python make_parts.py
 """
@@ -57,6 +57,27 @@ def parts() -> dict[str, BSplineSurface]:
     }  # fmt: skip
 
 
+def hexagon(radius: float, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """A prism with a corner on the x axis, its lower face at z = 0: vertices (14, 3), triangles (24, 3)."""
+    angle = np.radians(60.0 * np.arange(6))
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * angle], axis=1)
+    vertices = np.concatenate([ring, ring + [0.0, 0.0, height], [[0.0, 0.0, 0.0], [0.0, 0.0, height]]])
+    a, b = np.arange(6), (np.arange(6) + 1) % 6
+    sides = [(a, b, b + 6), (a, b + 6, a + 6), (b, a, 12 + 0 * a), (a + 6, b + 6, 13 + 0 * a)]
+    return vertices, np.concatenate([np.stack(corners, axis=1) for corners in sides])
+
+
+def ascii_stl(vertices: np.ndarray, triangles: np.ndarray) -> str:
+    lines = ["solid hexagon"]
+    for corners in vertices[triangles]:
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        lines.append("facet normal " + " ".join(f"{x:.6g}" for x in normal / np.linalg.norm(normal) + 0.0))
+        lines += [" outer loop", *("  vertex " + " ".join(f"{x:.12g}" for x in p + 0.0) for p in corners)]
+        lines += [" endloop", "endfacet"]
+    return "\n".join([*lines, "endsolid hexagon", ""])
+
+
 if __name__ == "__main__":
+    (Path(__file__).with_name("parts") / "hexagon_cm.stl").write_text(ascii_stl(*hexagon(0.8, 1.0)))
     for name, surface in parts().items():
         patch_json.write_surfaces(Path(__file__).with_name("parts") / f"{name}.json", [surface], "mm")

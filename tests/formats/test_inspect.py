@@ -127,6 +127,35 @@ def test_inspect_of_a_missing_file_is_one_line(tmp_path: Path, capsys: pytest.Ca
         assert name in said.err
 
 
+def test_inspect_of_a_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from cadsculpt.formats.mesh import write_triangles
+
+    corners = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    write_triangles(tmp_path / "a.stl", corners, triangles)
+    assert cadsculpt(["inspect", str(tmp_path / "a.stl"), "--json", "--quiet", "--units", "in"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"format", "units", "faces", "area", "bbox", "warnings"} < set(found)
+    assert (found["format"], found["units"], found["faces"]) == ("stl", "in", [])
+    assert (found["vertices"], found["triangles"], found["shells"]) == (4, 4, 1)
+    assert (found["closed"], found["open_edges"], found["warnings"]) == (True, 0, [])
+    assert found["volume"] == pytest.approx(25.4**3)
+    assert found["area"] == pytest.approx((3.0 + 1.0 + 1.5 + 3.5) * 25.4**2)
+    assert found["bbox"] == pytest.approx([0, 0, 0, 76.2, 50.8, 25.4])
+    write_triangles(tmp_path / "b.obj", corners, triangles[1:])
+    assert cadsculpt(["inspect", str(tmp_path / "b.obj"), "--json", "--quiet"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["closed"], found["open_edges"], found["volume"], found["units"]) == (False, 3, None, None)
+    assert any("3 open edges" in line for line in found["warnings"])
+    assert any("taken as mm" in line for line in found["warnings"])
+    assert cadsculpt(["inspect", str(tmp_path / "b.obj")]) == 0
+    assert "no, 3 open edges" in capsys.readouterr().out
+    (tmp_path / "c.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 3\n")
+    assert cadsculpt(["inspect", str(tmp_path / "c.ply"), "--quiet"]) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+
+
 @pytest.mark.corpus
 @pytest.mark.parametrize(("name", "unit"), [("cube-mm.step", "mm"), ("cube-m.step", "m")])
 def test_lengths_are_mm_whatever_the_files_unit(

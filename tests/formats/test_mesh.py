@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cadsculpt.errors import InputError
-from cadsculpt.formats.mesh import TRIANGLE_FORMATS, read_triangles, write_lattice, write_triangles
+from cadsculpt.formats.mesh import TRIANGLE_FORMATS, read_mesh, read_triangles, write_lattice, write_triangles
 from cadsculpt.record import LatticeFrame
 
 
@@ -77,6 +77,19 @@ def test_quadrilaterals_are_split(tmp_path: Path) -> None:
         ("a.obj", b"v 0 0 0\n", "no faces"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "not a finite number"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n", "no mesh can be read from this OBJ"),
+        (
+            "a.stl",
+            b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\n",
+            "no faces",
+        ),
+        ("a.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n", "no mesh can be read from this OFF"),
+        ("a.off", b"OFF\n# lost\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "3 of 3 vertices and 1 of 2 faces"),
+        (
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+            b"element face 2\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+            "1 of 2 faces",
+        ),
         ("a.xyz", b"", "use .stl"),
     ],
 )
@@ -84,6 +97,34 @@ def test_meshes_that_are_none(tmp_path: Path, name: str, content: bytes, said: s
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=said):
         read_triangles(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", sorted(TRIANGLE_FORMATS))
+def test_a_mesh_cut_anywhere_is_one_line_or_open(tmp_path: Path, suffix: str) -> None:
+    """A reader may take what there is of a text without counts: then the mesh is open."""
+    points = np.array([[0.5, 0.0, 0.0], [1.0, 0.0, 0.25], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    write_triangles(tmp_path / f"whole{suffix}", points, triangles)
+    whole = (tmp_path / f"whole{suffix}").read_bytes()
+    assert read_mesh(tmp_path / f"whole{suffix}").closed
+    cut = tmp_path / f"cut{suffix}"
+    for length in range(0, len(whole) - 8, 7):
+        cut.write_bytes(whole[:length])
+        try:
+            assert not read_mesh(cut).closed
+        except InputError as error:
+            assert str(cut) in str(error)
+            assert "\n" not in str(error)
+
+
+def test_a_mesh_comes_in_other_units_and_says_where_it_is_open_in_its_own(tmp_path: Path) -> None:
+    points = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    write_triangles(tmp_path / "a.stl", points, triangles)
+    assert read_mesh(tmp_path / "a.stl", 25.4).volume == pytest.approx(25.4**3)
+    write_triangles(tmp_path / "b.ply", points, triangles[:3])
+    fault = read_mesh(tmp_path / "b.ply", 25.4).fault
+    assert "3 open edges, the first (3, 0, 0) to (0, 2, 0)" in fault
 
 
 def test_a_missing_mesh(tmp_path: Path) -> None:
