@@ -148,7 +148,9 @@ def run(
             failure = str(error)
             break
         state = session.state
-        history.add(state.time, session.contacts, session.forces, session.depths, clearance.measure(session))
+        history.add(
+            state.time, session.contacts, session.forces, session.depths, clearance.measure(session), state.touched
+        )
         history.max_displacement = max(history.max_displacement, farthest.moved(session))
         if hooks.on_step:
             each = [reactions[tool.name] for tool in model.tools]
