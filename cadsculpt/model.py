@@ -99,9 +99,14 @@ def build_model(
         for face in body.faces
     ]
     finest = min(min(spacing) for *_, spacing in faces)
+    deepest = max(spec.thickness for spec in scene.model)
     surfaces = tool_surfaces or {}
     tools = tuple(
-        ToolBody(spec.name, make_tool(spec, finest, solver.resolution, surfaces.get(spec.name, ())), paths[spec.name])
+        ToolBody(
+            spec.name,
+            make_tool(spec, finest, deepest, solver.resolution, surfaces.get(spec.name, ())),
+            paths[spec.name],
+        )
         for spec in scene.tool
     )
     swept = np.concatenate([swept_boxes(tool) for tool in tools])

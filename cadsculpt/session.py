@@ -153,7 +153,9 @@ class Session:
             tick = self._tick()
             motions = [Motion.between(a, b) for a, b in zip(state.poses, after, strict=True)]
             stride = self.model.stride / travel
-            free = self.lookahead.free(state.control_points, state.control_points, motions)
+            # inside the material there is no surface to meet: what is in contact is watched
+            touching = len(self.detect(state.poses).contacts) > 0
+            free = 0.0 if touching else self.lookahead.free(state.control_points, state.control_points, motions)
             acts.seconds["collide"] += self._tick() - tick
             if free > stride and self._free_piece(motions, free, after, end, acts):
                 if free == 1.0:

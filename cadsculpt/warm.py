@@ -40,7 +40,7 @@ def warm_up(scene: Scene) -> None:
     # collision first: a second process may be at work on the lattice's kernels meanwhile
     grid = PatchGrid.of(plate, 13)
     for spec in tiny.tool:
-        made = make_tool(spec, 2.0, 13, [_plate(4.0, 0.2)])
+        made = make_tool(spec, 2.0, 2.0, 13, [_plate(4.0, 0.2)])
         detect([grid], [plate.control_points], [made.placed(paths[spec.name].pose(0.0))], DetectOptions())
     body = SourceBody("plate", (SourceFace(1, "plate", plate),))
     session = Session(build_model(tiny, [body], paths, {"surface": [_plate(4.0, 0.2)]}))

@@ -19,9 +19,14 @@ Tool = ImplicitTool | PointTool | SurfaceTool
 
 
 def make_tool(
-    spec: ToolSpec, spacing: float, resolution: int | tuple[int, int], surfaces: Sequence[BSplineSurface]
+    spec: ToolSpec,
+    spacing: float,
+    thickness: float,
+    resolution: int | tuple[int, int],
+    surfaces: Sequence[BSplineSurface],
 ) -> Tool:
-    """The tool that a [[tool]] table describes. `spacing` is the finest node spacing: a point stands for one node's cell."""
+    """The tool that a [[tool]] table describes. `spacing` is the finest node spacing: a point stands for one node's cell;
+    `thickness` the greatest of any material: below it a point is out of it."""
     where = f"tool {spec.name!r}"
     if spec.material is not None:
         raise InputError(
@@ -32,7 +37,7 @@ def make_tool(
     try:
         match spec.shape:
             case "point":
-                return PointTool(spec.area or spacing**2)
+                return PointTool(spec.area or spacing**2, thickness)
             case "sphere":
                 return ImplicitTool.sphere(_size(spec, "radius"))
             case "ellipsoid":
