@@ -146,6 +146,7 @@ def run(
             reactions = session.step(dt=model.step_length(session.state.step))
         except SimulationError as error:
             failure = str(error)
+            history.touched = np.array(session.state.touched)
             break
         state = session.state
         history.add(

@@ -192,9 +192,14 @@ class Session:
         tick = self._tick()
         contacts = self.detect(before, self._margin(before, after)).contacts if watched else Contacts.none()
         collided = self._tick()
-        nets, start = list(state.control_points), state.time
-        forces, depths = self._advance(contacts, _tool_velocities(contacts, before, after, dt), dt)
+        try:
+            forces, depths = self._advance(contacts, _tool_velocities(contacts, before, after, dt), dt)
+        except SimulationError:
+            self._note_touched(contacts, before, after, dt)
+            raise
         advanced = self._tick()
+        acting = acts.add(contacts, forces, depths, before, after, dt, self.model.metres_per_unit)
+        self._note_touched(contacts.chosen(acting), before, after, dt)
         for index in range(len(self.model.patches)):
             self._refit(index)
         refitted = self._tick()
@@ -204,12 +209,16 @@ class Session:
             ("refit", refitted - advanced),
         ):
             acts.seconds[phase] += seconds
-        acting = acts.add(contacts, forces, depths, before, after, dt, self.model.metres_per_unit)
-        for body, tool in {(int(a), int(b)) for a, b in zip(contacts.a[acting], contacts.b[acting], strict=True)}:
+        state.poses, state.time = after, end
+
+    def _note_touched(self, contacts: Contacts, before: list[Pose], after: list[Pose], dt: float) -> None:
+        """When the pairs in contact have met that had not touched before; the nets are still those of the start."""
+        state = self.state
+        for body, tool in sorted({(int(a), int(b)) for a, b in zip(contacts.a, contacts.b, strict=True)}):
             if np.isnan(state.touched[body, tool]):
                 motion = Motion.between(before[tool], after[tool])
-                state.touched[body, tool] = start + dt * self.lookahead.meeting(nets, motion, body, tool)
-        state.poses, state.time = after, end
+                share = self.lookahead.meeting(state.control_points, motion, body, tool)
+                state.touched[body, tool] = state.time + dt * share
 
     def detect(self, poses: list[Pose] | None = None, margin: float = 0.0) -> Detection:
         """Contacts of all models with all tools at these poses (default: where they are), depth >= -margin."""
@@ -311,6 +320,8 @@ class Session:
         for index, patch in enumerate(model.patches):
             mine = np.flatnonzero(contacts.face == index)
             load = None
+            elif self._at_rest(index):
+                continue
             if len(mine):
                 nodes, weights = node_weights(patch.lattice, contacts.u[mine], contacts.v[mine])
                 load = ContactLoad(
@@ -329,6 +340,15 @@ class Session:
             )
             forces[mine], depths[mine] = result.mean_force, result.depth
         return forces, depths
+
+    def _at_rest(self, index: int) -> bool:
+        """A lattice as it was built, on which nothing acts: it stays as it is."""
+        lattice, state = self.model.patches[index].lattice, self.state.lattices[index]
+        return (
+            not state.velocity.any()
+            and np.array_equal(state.x, lattice.nodes)
+            and np.array_equal(state.rest_length, lattice.rest_length)
+        )
 
     def _refuse_unknown(self, poses: Mapping[str, Pose]) -> None:
         names = [tool.name for tool in self.model.tools]

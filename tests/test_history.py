@@ -32,7 +32,14 @@ def history() -> History:
         np.array([[0.0, np.nan]]),
         np.array([[0.15, np.nan]]),
     )
-    history.add(0.3, contacts([0], [1], [0.4], [2.5]), np.array([[0, 0, -1.0]]), np.array([0.6]), nothing, np.array([[0.15, 0.25]]))
+    history.add(
+        0.3,
+        contacts([0], [1], [0.4], [2.5]),
+        np.array([[0, 0, -1.0]]),
+        np.array([0.6]),
+        nothing,
+        np.array([[0.15, 0.25]]),
+    )
     return history
 
 

@@ -55,20 +55,20 @@ def model_of(kind: str, rows: list[tuple[float, list[float]]], step: float = 1e-
 
 
 @pytest.mark.parametrize("kind", TIP)
-@pytest.mark.parametrize("height", [30.0, 3000.0])
+@pytest.mark.parametrize("height", [30.0, 3000.0, 3e7])
 def test_a_tool_that_crosses_the_whole_part_in_one_step_is_caught(kind, height):
-    """From far above to far below within one step: contact, at the time that its speed says, and a push back."""
-    tip = TIP[kind]
-    seconds = 2.0 * height / 3e3  # 3 m/s
-    session = Session(model_of(kind, [(0.0, [10.3, 9.8, height + tip]), (seconds, [10.3, 9.8, tip - height])], seconds))
-    reaction = session.step()["tool"]
-    assert session.state.time == pytest.approx(seconds)
-    assert session.state.touched[0, 0] == pytest.approx(0.5 * seconds, abs=0.1 / 3e3)
-    assert len(session.contacts) > 0
-    assert reaction.max_depth > 0
-    assert reaction.force[2] > 0
-    assert np.isfinite(session.state.control_points[0]).all()
-    assert np.abs(session.displacement(0)).max() > 0
+    """From far above to far below within one step: in contact at the time that its speed says. The material takes the
+    blow, or the run ends with one line and says when they met; it never goes on as if nothing had been in the way."""
+    tip, seconds = TIP[kind], 2.0 * height / 1e3  # 1 m/s
+    result = run(model_of(kind, [(0.0, [10.3, 9.8, height + tip]), (seconds, [10.3, 9.8, tip - height])], seconds))
+    # to a stride's hundred-thousandth, and to the rounding of poses so far away
+    assert result.summary.first_contact == pytest.approx(0.5 * seconds, abs=1e-8 + 1e-14 * height)
+    if result.converged:
+        assert result.summary.max_depth > 0
+        assert result.summary.max_force > 0
+        assert result.summary.max_displacement > 0
+    else:
+        assert "faster than sound" in result.failure
 
 
 @pytest.mark.parametrize("kind", TIP)
