@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.detect import DistanceField, PatchGrid
-from .collide.sweep import MovingField, MovingPatches, MovingPoint, RigidPatches, SweepCache, first_contact
+from .collide.sweep import (
+    MovingField,
+    MovingPatches,
+    MovingPoint,
+    RigidPatches,
+    SweepCache,
+    TimeOfContact,
+    first_contact,
+)
 from .model import Model
 from .motion.motion import Motion
 from .motion.pose import Pose
@@ -49,23 +57,23 @@ class Lookahead:
         share = 1.0
         for body in range(len(self.model.bodies)):
             for tool, motion in enumerate(motions):
-                share = min(share, self._contact(before, after, motion, body, tool)[0])
+                found = self._contact(before, after, motion, body, tool)
+                share = share if found is None else min(share, found.low)
         return share
 
-    def meeting(self, nets: Sequence[Array], motion: Motion, body: int, tool: int) -> float:
-        """The share of a motion at which a tool reaches a body at rest; 1 where it only gets there as the body moves."""
-        return min(1.0, self._contact(nets, nets, motion, body, tool)[1])
+    def meeting(self, nets: Sequence[Array], motion: Motion, body: int, tool: int) -> float | None:
+        """The share of a motion at which a tool reaches a body at rest; None where it does not."""
+        found = self._contact(nets, nets, motion, body, tool)
+        return None if found is None else min(1.0, max(found.low, found.high))
 
     def _contact(
         self, before: Sequence[Array], after: Sequence[Array], motion: Motion, body: int, tool: int
-    ) -> tuple[float, float]:
-        """Nothing touches before the first share of the motion; at the second, contact. (1, 1): never."""
+    ) -> TimeOfContact | None:
         still = before is after
         start = self._nets(before, body)
         moving = MovingPatches(self._grids(body), start, start if still else self._nets(after, body))
         cache = self._caches.setdefault((body, tool), SweepCache())
-        found = first_contact(moving, self._moving(tool, motion), tolerance=NEAR * self.model.stride, cache=cache)
-        return (1.0, 1.0) if found is None else (found.low, max(found.low, found.high))
+        return first_contact(moving, self._moving(tool, motion), tolerance=NEAR * self.model.stride, cache=cache)
 
     def _grids(self, body: int) -> tuple[PatchGrid, ...]:
         return tuple(self.model.patches[i].grid for i in self._patches[body])

@@ -195,7 +195,7 @@ class Session:
         try:
             forces, depths = self._advance(contacts, _tool_velocities(contacts, before, after, dt), dt)
         except SimulationError:
-            self._note_touched(contacts, before, after, dt)
+            self._note_touched(contacts, before, after, dt, certain=False)
             raise
         advanced = self._tick()
         acting = acts.add(contacts, forces, depths, before, after, dt, self.model.metres_per_unit)
@@ -211,14 +211,18 @@ class Session:
             acts.seconds[phase] += seconds
         state.poses, state.time = after, end
 
-    def _note_touched(self, contacts: Contacts, before: list[Pose], after: list[Pose], dt: float) -> None:
-        """When the pairs in contact have met that had not touched before; the nets are still those of the start."""
+    def _note_touched(
+        self, contacts: Contacts, before: list[Pose], after: list[Pose], dt: float, *, certain: bool = True
+    ) -> None:
+        """When the pairs of these contacts met that had not touched before; the nets are still those of the start. Where
+        the tools alone do not meet a body at rest, they met at the end, if they are certain to have met at all."""
         state = self.state
         for body, tool in sorted({(int(a), int(b)) for a, b in zip(contacts.a, contacts.b, strict=True)}):
             if np.isnan(state.touched[body, tool]):
                 motion = Motion.between(before[tool], after[tool])
                 share = self.lookahead.meeting(state.control_points, motion, body, tool)
-                state.touched[body, tool] = state.time + dt * share
+                if share is not None or certain:
+                    state.touched[body, tool] = state.time + dt * (1.0 if share is None else share)
 
     def detect(self, poses: list[Pose] | None = None, margin: float = 0.0) -> Detection:
         """Contacts of all models with all tools at these poses (default: where they are), depth >= -margin."""
@@ -320,7 +324,7 @@ class Session:
         for index, patch in enumerate(model.patches):
             mine = np.flatnonzero(contacts.face == index)
             load = None
-            elif self._at_rest(index):
+            if not len(mine) and self._at_rest(index):
                 continue
             if len(mine):
                 nodes, weights = node_weights(patch.lattice, contacts.u[mine], contacts.v[mine])
