@@ -40,13 +40,15 @@ def command(
 
     Exit codes: 0 clear, 1 in contact or nearer than the clearance (or not decided), 2 bad input.
     """
-    from ..formats.clash import bodies_of, clash_object
+    from ..collision import collide
+    from ..formats.clash import body_named, clash_object
 
+    warnings: list[str] = []
     with ProgressDisplay(quiet=quiet) as progress:
-        first, second, warnings = bodies_of(a, b, units, lambda name: progress.update("reading", remark=name))
+        first, second = (
+            body_named(text, units, lambda name: progress.update("reading", remark=name), warnings) for text in (a, b)
+        )
         progress.update("colliding")
-        from ..collision import collide
-
         result = collide(first.body, second.body, clearance=clearance, tolerance=tolerance)
     found = clash_object(result, first, second)
     if as_json:
