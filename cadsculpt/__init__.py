@@ -9,6 +9,7 @@
 
     surface = cs.read("part.step").faces["top"].surface
     surface.evaluate(u, v); surface.normal(u, v)
+    cs.collide(a, b, clearance=0.0)                       # verdict, distance interval, contacts
 
 Every name below is imported when it is first used: `import cadsculpt` costs nothing.
 """
@@ -39,6 +40,7 @@ _HOMES = {
     "Session": "cadsculpt.session",
     "SimulationError": "cadsculpt.errors",
     "ToolPath": "cadsculpt.motion.path",
+    "collide": "cadsculpt.collide",
     "read": "cadsculpt.formats.registry",
     "run": "cadsculpt.run",
 }
@@ -52,7 +54,10 @@ __all__ = ["__version__", *_HOMES]
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'cadsculpt' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOMES[name]), _RENAMED.get(name, name))
+    module = importlib.import_module(_HOMES[name])
+    if name == "collide":  # the package of this name, which can be called
+        return module
+    value = getattr(module, _RENAMED.get(name, name))
     globals()[name] = value
     return value
 
@@ -62,6 +67,7 @@ def __dir__() -> list[str]:
 
 
 if TYPE_CHECKING:
+    from .collision import collide
     from .errors import CadsculptError, InputError, SimulationError
     from .model import Model
     from .motion.path import ToolPath

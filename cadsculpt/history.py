@@ -32,6 +32,7 @@ class History:
 
     depth : deepest contact at the start of the step. penetration : what is left of it at the end. force : magnitude of the
     summed contact force. area : touching area. clearance : smallest distance, NaN where it was not asked for.
+    touched (bodies, tools) : when each pair touched first, NaN where it has not.
     """
 
     time: Array
@@ -40,15 +41,19 @@ class History:
     force: Array
     area: Array
     clearance: Array
+    touched: Array
     max_displacement: float = 0.0
 
     @classmethod
     def empty(cls, bodies: int, tools: int) -> History:
         none = np.zeros((0, bodies, tools))
-        return cls(np.zeros(0), none, none, none, none, none)
+        return cls(np.zeros(0), none, none, none, none, none, np.full((bodies, tools), np.nan))
 
-    def add(self, time: float, contacts: Contacts, forces: Array, depths: Array, clearance: Array) -> None:
-        """Take in the contacts that acted during a step, with their mean forces and the depths at its end."""
+    def add(
+        self, time: float, contacts: Contacts, forces: Array, depths: Array, clearance: Array, touched: Array
+    ) -> None:
+        """Take in the contacts that acted during a step, with their mean forces and the depths at its end, and when
+        (bodies, tools) the pairs touched first so far."""
         _, bodies, tools = self.depth.shape
         row = np.zeros((4, bodies, tools))
         for a, b in {(int(a), int(b)) for a, b in zip(contacts.a, contacts.b, strict=True)}:
@@ -62,11 +67,13 @@ class History:
         for name, value in zip(("depth", "penetration", "force", "area"), row, strict=True):
             setattr(self, name, np.concatenate([getattr(self, name), value[None]]))
         self.clearance = np.concatenate([self.clearance, clearance[None]])
+        self.touched = np.array(touched)
 
     def first_contact(self, body: int | None = None, tool: int | None = None) -> float | None:
-        """Time at the end of the first step in which the pair (any pair: None) touched."""
-        touched = self._of(self.area > 0, body, tool)
-        return float(self.time[np.argmax(touched)]) if touched.any() else None
+        """When the pair (any pair: None) touched first, within its step by continuous collision; None when it never did."""
+        times = self.touched if body is None else self.touched[[body]]
+        times = times if tool is None else times[:, [tool]]
+        return None if np.isnan(times).all() else float(np.nanmin(times))
 
     def greatest(self, what: str, body: int | None = None, tool: int | None = None) -> float:
         """Largest value over the run of depth, penetration, force or area."""
@@ -94,13 +101,6 @@ class History:
             return []
         groups = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)
         return [(int(g[0]) + 1, int(g[-1]) + 1, float(worst[g].max())) for g in groups]
-
-    def _of(self, flags: NDArray[np.bool_], body: int | None, tool: int | None) -> NDArray[np.bool_]:
-        if body is not None:
-            flags = flags[:, [body], :]
-        if tool is not None:
-            flags = flags[:, :, [tool]]
-        return np.asarray(flags.any(axis=(1, 2)))
 
     def arrays(self) -> dict[str, Array]:
         """Everything as arrays, for a checkpoint."""

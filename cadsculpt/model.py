@@ -25,6 +25,10 @@ from .units import metres_per_unit
 Array = NDArray[np.float64]
 
 
+STRIDE = 0.25
+"""A tool that moves by less than this share of the thinnest material and the smallest tool meets, in the meantime, what it
+was seen to approach at the start, and nothing else."""
+
 STILL = 0.05
 """Nodes that moved by less than this share of the refit's tolerance did not move: their control points keep their bits."""
 
@@ -51,7 +55,8 @@ class Model:
     """Everything immutable of a scene, in the scene's length unit L; forces in N, time in s.
 
     step : length of one step of a run, s. steps : how many make a whole run. refit_threshold : nodes that moved less count
-    as not moved, L. size : diagonal of the sculpted faces' box, L.
+    as not moved, L. size : diagonal of the sculpted faces' box, L. stride : how far a tool may move while the contacts
+    are those that were seen at the start, L.
     """
 
     scene: Scene
@@ -64,6 +69,7 @@ class Model:
     options: DetectOptions
     refit_threshold: float
     size: float
+    stride: float
 
     def step_length(self, step: int) -> float:
         """Length of step number `step` (from 0) in s; the last one ends where the longest path ends."""
@@ -95,11 +101,12 @@ def build_model(
         for face in body.faces
     ]
     finest = min(min(spacing) for *_, spacing in faces)
+    deepest = max(spec.thickness for spec in scene.model)
     surfaces, meshes = tool_surfaces or {}, tool_meshes or {}
     tools = tuple(
         ToolBody(
             spec.name,
-            make_tool(spec, finest, solver.resolution, surfaces.get(spec.name, ()), meshes.get(spec.name)),
+            make_tool(spec, finest, deepest, solver.resolution, surfaces.get(spec.name, ()), meshes.get(spec.name)),
             paths[spec.name],
         )
         for spec in scene.tool
@@ -120,7 +127,14 @@ def build_model(
         options=DetectOptions(mode=solver.mode, tolerance=solver.tolerance, delta=float(np.radians(solver.delta))),
         refit_threshold=STILL * scene.refit.tolerance,
         size=float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))),
+        stride=STRIDE * _smallest([spec.thickness for spec in scene.model], tools),
     )
+
+
+def _smallest(thicknesses: Sequence[float], tools: Sequence[ToolBody]) -> float:
+    """The smallest size of anything that a tool could pass through or that could pass through it, L."""
+    sizes = [float(side) for tool in tools for side in np.diff(tool.tool.box_corners, axis=0).ravel() if side > 0]
+    return min([*thicknesses, *sizes])
 
 
 def _built(

@@ -146,9 +146,12 @@ def run(
             reactions = session.step(dt=model.step_length(session.state.step))
         except SimulationError as error:
             failure = str(error)
+            history.touched = np.array(session.state.touched)
             break
         state = session.state
-        history.add(state.time, session.contacts, session.forces, session.depths, clearance.measure(session))
+        history.add(
+            state.time, session.contacts, session.forces, session.depths, clearance.measure(session), state.touched
+        )
         history.max_displacement = max(history.max_displacement, farthest.moved(session))
         if hooks.on_step:
             each = [reactions[tool.name] for tool in model.tools]

@@ -15,43 +15,39 @@ from numpy.typing import NDArray
 
 from .collide.contacts import Contacts
 from .collide.detect import Counters, DetectCache, Detection, DetectOptions, detect
-from .errors import InputError
+from .errors import InputError, SimulationError
+from .lookahead import Lookahead
 from .model import Model
+from .motion.motion import Motion
 from .motion.pose import Pose
 from .physics.explicit import ContactLoad, LatticeState, StepForces, advance
 from .physics.forces import node_weights
+from .reaction import Reaction, StepActs
 from .spline.refit import RefitError
 from .spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
 
 
+MOST_PIECES = 10000
+"""A step in which tools in contact move so far that it would take more pieces is refused: it is a mistake in the scene."""
+
 _LATTICE_STATE = ("x", "velocity", "rest_length")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reaction:
-    """What a tool feels, averaged over the step: force (3,) [N] and torque (3,) [N m] about the origin of its frame.
-
-    contact_area [L^2], max_depth [L] : of the contacts at the start of the step. max_penetration [L] : at its end.
-    """
-
-    force: Array
-    torque: Array
-    contact_area: float
-    max_depth: float
-    max_penetration: float
 
 
 @dataclass(slots=True, eq=False)
 class State:
-    """Everything that changes: time [s], tool poses, and per patch the lattice and the control points."""
+    """Everything that changes: time [s], tool poses, and per patch the lattice and the control points.
+
+    touched (bodies, tools) : when each pair touched first [s]; NaN where it has not.
+    """
 
     time: float
     step: int
     poses: list[Pose]
     lattices: list[LatticeState]
     control_points: list[Array]
+    touched: Array
 
 
 class Buildable(Protocol):
@@ -78,6 +74,7 @@ class Session:
     depths: Array = field(init=False)
     counters: Counters = field(init=False)
     timing: dict[str, list[float]] = field(init=False)
+    lookahead: Lookahead = field(init=False)
     _caches: list[DetectCache] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -89,7 +86,9 @@ class Session:
             poses=[tool.path.pose(0.0) for tool in model.tools],
             lattices=[LatticeState.at_rest(patch.lattice) for patch in model.patches],
             control_points=[patch.surface.control_points.copy() for patch in model.patches],
+            touched=np.full((len(model.bodies), len(model.tools)), np.nan),
         )
+        self.lookahead = Lookahead(model)
         self._caches = [DetectCache() for _ in model.bodies]
         self.contacts, self.forces, self.depths = Contacts.none(), np.zeros((0, 3)), np.zeros(0)
         self.counters = Counters()
@@ -106,25 +105,124 @@ class Session:
         dt = model.step if dt is None else dt
         if not (np.isfinite(dt) and dt > 0):
             raise InputError(f"a step of {dt} s", mend="a step takes a positive time")
-        before, after = state.poses, self._targets(poses or {}, state.time + dt)
-        tick = self._tick()
-        contacts = self.detect(before, self._margin(before, after)).contacts
-        collided = self._tick()
-        forces, depths = self._advance(contacts, _tool_velocities(contacts, before, after, dt), dt)
-        advanced = self._tick()
-        for index in range(len(model.patches)):
-            self._refit(index)
-        for phase, seconds in zip(
-            ("collide", "lattice", "refit"),
-            (collided - tick, advanced - collided, self._tick() - advanced),
-            strict=True,
-        ):
+        given, start, before = dict(poses or {}), state.time, state.poses
+        self._refuse_unknown(given)
+        acts = StepActs(len(model.tools), dt)
+        for time in self._stops(given, start, dt):
+            after = [
+                given[tool.name] if time == start + dt and tool.name in given
+                else Motion.between(before[i], given[tool.name]).pose((time - start) / dt) if tool.name in given
+                else tool.path.pose(time)
+                for i, tool in enumerate(model.tools)
+            ]  # fmt: skip
+            self._follow(after, time, acts)
+        state.time, state.step = start + dt, state.step + 1
+        for phase, seconds in acts.seconds.items():
             self.timing[phase].append(seconds)
-        reactions = self._reactions(contacts, forces, depths, before, after)
-        state.poses, state.time, state.step = after, state.time + dt, state.step + 1
-        acting = (depths > 0) | (forces != 0).any(axis=1)
-        self.contacts, self.forces, self.depths = contacts.chosen(acting), forces[acting], depths[acting]
-        return reactions
+        self.contacts, self.forces, self.depths = acts.contacts, acts.forces, acts.depths
+        return {tool.name: acts.reaction(i) for i, tool in enumerate(model.tools)}
+
+    def _stops(self, given: Mapping[str, Pose], start: float, dt: float) -> list[float]:
+        """The times until which the tools move steadily: the step's end, and where their paths turn within a step so
+        long that a tool could pass through a part in it."""
+        end = start + dt
+        turns = {
+            float(t) for tool in self.model.tools if tool.name not in given for t in tool.path.rows_between(start, end)
+        }
+        if not turns:
+            return [end]
+        stops = [*sorted(turns), end]
+        travel, here = 0.0, self.state.poses
+        for time in stops:
+            there = [given.get(tool.name, tool.path.pose(time)) for tool in self.model.tools]
+            travel, here = travel + self._margin(here, there), there
+        return stops if travel > self.model.stride else [end]
+
+    def _follow(self, after: list[Pose], end: float, acts: StepActs) -> None:
+        """Move the tools to `after`, in one piece where that is no farther than `Model.stride`.
+
+        Else by continuous collision: freely up to the first contact, and in pieces of one stride while in contact.
+        Raises SimulationError when that takes more pieces than MOST_PIECES.
+        """
+        state = self.state
+        for _ in range(MOST_PIECES):
+            travel = self._margin(state.poses, after)
+            if travel <= self.model.stride:
+                self._piece(after, end, acts)
+                return
+            tick = self._tick()
+            motions = [Motion.between(a, b) for a, b in zip(state.poses, after, strict=True)]
+            stride = self.model.stride / travel
+            # inside the material there is no surface to meet: what is in contact is watched
+            touching = len(self.detect(state.poses).contacts) > 0
+            free = 0.0 if touching else self.lookahead.free(state.control_points, state.control_points, motions)
+            acts.seconds["collide"] += self._tick() - tick
+            if free > stride and self._free_piece(motions, free, after, end, acts):
+                if free == 1.0:
+                    return
+                continue
+            self._piece([motion.pose(stride) for motion in motions], state.time + stride * (end - state.time), acts)
+        raise SimulationError(
+            f"a tool moves {self._margin(state.poses, after):.4g} {self.model.scene.units} within one step while in contact",
+            where=f"step {state.step + 1}",
+            mend=f"take a step of at most {self.model.step * MOST_PIECES * stride:.3g} s",
+        )
+
+    def _free_piece(self, motions: list[Motion], share: float, after: list[Pose], end: float, acts: StepActs) -> bool:
+        """Move the tools by a share of their motions, without contact; or nothing, and False, when the material comes to
+        meet one of them meanwhile."""
+        state = self.state
+        kept = [lattice.copy() for lattice in state.lattices], list(state.control_points), state.time, state.poses
+        time = end if share == 1.0 else state.time + share * (end - state.time)
+        poses = after if share == 1.0 else [motion.pose(share) for motion in motions]
+        self._piece(poses, time, acts, watched=False)
+        moved = [Motion.between(a, b) for a, b in zip(kept[3], poses, strict=True)]
+        nets = state.control_points
+        if (
+            any(a is not b for a, b in zip(nets, kept[1], strict=True))
+            and self.lookahead.free(kept[1], nets, moved) < 1.0
+        ):
+            state.lattices, state.control_points, state.time, state.poses = kept
+            return False
+        return True
+
+    def _piece(self, after: list[Pose], end: float, acts: StepActs, *, watched: bool = True) -> None:
+        """Collide with the tools where they are, let contact forces and lattices act until they are at `after`, refit."""
+        state, before, dt = self.state, self.state.poses, end - self.state.time
+        tick = self._tick()
+        contacts = self.detect(before, self._margin(before, after)).contacts if watched else Contacts.none()
+        collided = self._tick()
+        try:
+            forces, depths = self._advance(contacts, _tool_velocities(contacts, before, after, dt), dt)
+        except SimulationError:
+            self._note_touched(contacts, before, after, dt, certain=False)
+            raise
+        advanced = self._tick()
+        acting = acts.add(contacts, forces, depths, before, after, dt, self.model.metres_per_unit)
+        self._note_touched(contacts.chosen(acting), before, after, dt)
+        for index in range(len(self.model.patches)):
+            self._refit(index)
+        refitted = self._tick()
+        for phase, seconds in (
+            ("collide", collided - tick),
+            ("lattice", advanced - collided),
+            ("refit", refitted - advanced),
+        ):
+            acts.seconds[phase] += seconds
+        state.poses, state.time = after, end
+
+    def _note_touched(
+        self, contacts: Contacts, before: list[Pose], after: list[Pose], dt: float, *, certain: bool = True
+    ) -> None:
+        """When the pairs of these contacts met that had not touched before; the nets are still those of the start. Where
+        the tools alone do not meet a body at rest, they met at the end, if they are certain to have met at all."""
+        state = self.state
+        for body, tool in sorted({(int(a), int(b)) for a, b in zip(contacts.a, contacts.b, strict=True)}):
+            if np.isnan(state.touched[body, tool]):
+                motion = Motion.between(before[tool], after[tool])
+                share = self.lookahead.meeting(state.control_points, motion, body, tool)
+                if share is not None or certain:
+                    state.touched[body, tool] = state.time + dt * (1.0 if share is None else share)
 
     def detect(self, poses: list[Pose] | None = None, margin: float = 0.0) -> Detection:
         """Contacts of all models with all tools at these poses (default: where they are), depth >= -margin."""
@@ -175,6 +273,7 @@ class Session:
         arrays: dict[str, Array] = {
             "time": np.array(state.time),
             "step": np.array(state.step),
+            "touched": state.touched,
             "pose_at": np.array([pose.at for pose in state.poses]),
             "pose_rotation": np.array([pose.rotation for pose in state.poses]),
         }
@@ -199,6 +298,7 @@ class Session:
                     for i, patch in enumerate(self.model.patches)
                 ],
                 control_points=[np.array(arrays[f"net_{i}"]) for i in range(len(self.model.patches))],
+                touched=np.array(arrays["touched"]),
             )
         except KeyError as error:
             raise InputError(f"the checkpoint lacks {error}", mend="start the run again with --force") from None
@@ -224,6 +324,8 @@ class Session:
         for index, patch in enumerate(model.patches):
             mine = np.flatnonzero(contacts.face == index)
             load = None
+            if not len(mine) and self._at_rest(index):
+                continue
             if len(mine):
                 nodes, weights = node_weights(patch.lattice, contacts.u[mine], contacts.v[mine])
                 load = ContactLoad(
@@ -243,12 +345,20 @@ class Session:
             forces[mine], depths[mine] = result.mean_force, result.depth
         return forces, depths
 
-    def _targets(self, poses: Mapping[str, Pose], time: float) -> list[Pose]:
+    def _at_rest(self, index: int) -> bool:
+        """A lattice as it was built, on which nothing acts: it stays as it is."""
+        lattice, state = self.model.patches[index].lattice, self.state.lattices[index]
+        return (
+            not state.velocity.any()
+            and np.array_equal(state.x, lattice.nodes)
+            and np.array_equal(state.rest_length, lattice.rest_length)
+        )
+
+    def _refuse_unknown(self, poses: Mapping[str, Pose]) -> None:
         names = [tool.name for tool in self.model.tools]
         for name in poses:
             if name not in names:
                 raise InputError(f"no tool named {name!r}", mend=f"the scene's tools are {', '.join(names)}")
-        return [poses[tool.name] if tool.name in poses else tool.path.pose(time) for tool in self.model.tools]
 
     def _margin(self, before: list[Pose], after: list[Pose]) -> float:
         """How far any point of a tool can come nearer within the step: contacts to be are watched as well."""
@@ -266,25 +376,6 @@ class Session:
         delta = patch.refit.fit(self.displacement(index), self.model.refit_threshold)
         rest = patch.surface.control_points
         self.state.control_points[index] = np.where(delta == 0.0, rest, rest + delta)
-
-    def _reactions(
-        self, contacts: Contacts, forces: Array, depths: Array, before: list[Pose], after: list[Pose]
-    ) -> dict[str, Reaction]:
-        reactions = {}
-        for index, tool in enumerate(self.model.tools):
-            mine = contacts.b == index
-            touching = mine & (contacts.depth > 0)
-            force = -forces[mine].sum(axis=0)
-            arm = contacts.point[mine] - 0.5 * (before[index].at + after[index].at)
-            torque = -np.cross(arm, forces[mine]).sum(axis=0) * self.model.metres_per_unit
-            reactions[tool.name] = Reaction(
-                force,
-                torque,
-                float(contacts.area[touching].sum()),
-                float(contacts.depth[touching].max(initial=0.0)),
-                float(depths[mine].max(initial=0.0)),
-            )
-        return reactions
 
 
 def _tool_velocities(contacts: Contacts, before: list[Pose], after: list[Pose], dt: float) -> Array:

@@ -45,7 +45,7 @@ def warm_up(scene: Scene) -> None:
     grid = PatchGrid.of(plate, 13)
     meshes = {"mesh": _tetrahedron(4.0)} if "mesh" in kinds else {}
     for spec in tiny.tool:
-        made = make_tool(spec, 2.0, 13, [_plate(4.0, 0.2)], meshes.get(spec.name))
+        made = make_tool(spec, 2.0, 2.0, 13, [_plate(4.0, 0.2)], meshes.get(spec.name))
         detect([grid], [plate.control_points], [made.placed(paths[spec.name].pose(0.0))], DetectOptions())
     body = SourceBody("plate", (SourceFace(1, "plate", plate),))
     session = Session(build_model(tiny, [body], paths, {"surface": [_plate(4.0, 0.2)]}, meshes))

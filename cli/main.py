@@ -22,6 +22,7 @@ COMMANDS: dict[str, str] = {
     "new": "Write a scene for a CAD file of yours.",
     "run": "Run a scene and write the sculpted part.",
     "check": "Run cases and compare them with what they expect.",
+    "collide": "Tell whether two bodies touch, and how far apart they are.",
     "inspect": "List the faces of a CAD file, or look at a mesh.",
     "convert": "Write a CAD file in another format.",
     "report": "Write the report of a finished run again.",

@@ -23,22 +23,31 @@ def contacts(a: list[int], b: list[int], depth: list[float], area: list[float]) 
 def history() -> History:
     history = History.empty(1, 2)
     nothing = np.full((1, 2), np.nan)
-    history.add(0.1, Contacts.none(), np.zeros((0, 3)), np.zeros(0), np.array([[3.0, np.nan]]))
+    history.add(0.1, Contacts.none(), np.zeros((0, 3)), np.zeros(0), np.array([[3.0, np.nan]]), nothing)
     history.add(
         0.2,
         contacts([0, 0, 0], [0, 0, 1], [0.1, 0.3, -0.2], [1.0, 2.0, 5.0]),
         np.array([[0, 0, -3.0], [0, 4.0, 0], [0, 0, 0]]),
         np.array([0.05, 0.2, -0.1]),
         np.array([[0.0, np.nan]]),
+        np.array([[0.15, np.nan]]),
     )
-    history.add(0.3, contacts([0], [1], [0.4], [2.5]), np.array([[0, 0, -1.0]]), np.array([0.6]), nothing)
+    history.add(
+        0.3,
+        contacts([0], [1], [0.4], [2.5]),
+        np.array([[0, 0, -1.0]]),
+        np.array([0.6]),
+        nothing,
+        np.array([[0.15, 0.25]]),
+    )
     return history
 
 
 def test_values_per_pair(history):
-    assert history.first_contact() == 0.2
-    assert history.first_contact(0, 0) == 0.2
-    assert history.first_contact(0, 1) == 0.3
+    assert history.first_contact() == 0.15
+    assert history.first_contact(0, 0) == 0.15
+    assert history.first_contact(0, 1) == 0.25
+    assert History.empty(1, 2).first_contact(0, 1) is None
     assert history.greatest("force", 0, 0) == 5.0
     assert history.greatest("depth", 0, 0) == 0.3
     assert history.greatest("penetration") == 0.6

@@ -182,6 +182,11 @@ class ComposedTool:
         return cls(tuple(pieces), tree, tuple(leaves), leaf_tree, box, cover, seeds, size)
 
     @property
+    def convex(self) -> bool:
+        """Not known to be: what lies beyond a tangent plane may still meet it."""
+        return False
+
+    @property
     def box_corners(self) -> Array:
         """(2, 3): lower and upper corner in the tool's frame; may be infinite."""
         return self.corners

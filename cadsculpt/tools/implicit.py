@@ -98,6 +98,11 @@ class ImplicitTool:
         }[self.kind]()
         return np.array([[-h for h in half], half])
 
+    @property
+    def convex(self) -> bool:
+        """What lies beyond the tangent plane of one of its points is clear of it."""
+        return self.kind != TORUS
+
     def field(self, points: Array) -> tuple[Array, Array]:
         """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3) in the tool's frame."""
         distance = np.empty(len(points))

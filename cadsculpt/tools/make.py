@@ -30,13 +30,15 @@ Tool = Body | MeshTool | PointTool | SurfaceTool
 def make_tool(
     spec: ToolSpec,
     spacing: float,
+    thickness: float,
     resolution: int | tuple[int, int],
     surfaces: Sequence[BSplineSurface],
     mesh: TriangleMesh | None = None,
 ) -> Tool:
-    """The tool that a [[tool]] table describes. `spacing` is the finest node spacing: a point stands for one node's cell.
+    """The tool that a [[tool]] table describes.
 
-    surfaces, mesh : what the file of a surface or mesh tool holds, in the scene's unit.
+    spacing : the finest node spacing; a point stands for one node's cell. thickness : the greatest of any material; below it
+    a point is out of it. surfaces, mesh : what the file of a surface or mesh tool holds, in the scene's unit.
     """
     where = f"tool {spec.name!r}"
     if spec.material is not None:
@@ -48,7 +50,7 @@ def make_tool(
     try:
         match spec.shape:
             case "point":
-                return PointTool(spec.area or spacing**2)
+                return PointTool(spec.area or spacing**2, thickness)
             case "surface":
                 return SurfaceTool.of(list(surfaces), resolution)
             case "mesh":

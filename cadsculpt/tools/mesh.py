@@ -33,6 +33,11 @@ class MeshTool:
         return self.rest.mesh
 
     @property
+    def convex(self) -> bool:
+        """Not known to be: what lies beyond a tangent plane may still meet it."""
+        return False
+
+    @property
     def box_corners(self) -> Array:
         """(2, 3): lower and upper corner in the tool's frame."""
         return self.mesh.box
@@ -74,5 +79,6 @@ class PlacedMesh:
         return self.pose.to_world(self.rest.nearest(self.pose.to_tool(points)))
 
     def box(self) -> Array:
-        corners = self.vertices
-        return np.array([corners.min(axis=0), corners.max(axis=0)])
+        low, high = self.rest.mesh.box
+        middle, reach = self.pose.to_world(0.5 * (low + high)), np.abs(self.pose.rotation) @ (0.5 * (high - low))
+        return np.array([middle - reach, middle + reach])

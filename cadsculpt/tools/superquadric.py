@@ -59,6 +59,11 @@ class SuperquadricTool:
         return cls(a, e, seeds)
 
     @property
+    def convex(self) -> bool:
+        """What lies beyond the tangent plane of one of its points is clear of it."""
+        return True
+
+    @property
     def box_corners(self) -> Array:
         """(2, 3): lower and upper corner in the tool's frame."""
         return np.array([-self.radii, self.radii])

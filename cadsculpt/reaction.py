@@ -1,0 +1,79 @@
+"""What tools feel during a step: forces and torques averaged over it, and the contacts that acted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .collide.contacts import Contacts
+from .motion.pose import Pose
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reaction:
+    """What a tool feels, averaged over the step: force (3,) [N] and torque (3,) [N m] about the origin of its frame.
+
+    contact_area [L^2], max_depth [L] : of the contacts at the start of the step (of any of its pieces, where continuous
+    collision cuts it). max_penetration [L] : at its end.
+    """
+
+    force: Array
+    torque: Array
+    contact_area: float
+    max_depth: float
+    max_penetration: float
+
+
+@dataclass(slots=True, eq=False)
+class StepActs:
+    """What acts during one step of dt seconds: the tools' impulses over its pieces, and the contacts of the last piece
+    in which anything acted."""
+
+    tools: int
+    dt: float
+    contacts: Contacts = field(default_factory=Contacts.none)
+    forces: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    depths: Array = field(default_factory=lambda: np.zeros(0))
+    seconds: dict[str, float] = field(default_factory=lambda: {"collide": 0.0, "lattice": 0.0, "refit": 0.0})
+    force: Array = field(init=False)
+    torque: Array = field(init=False)
+    greatest: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.force, self.torque, self.greatest = (np.zeros((self.tools, 3)) for _ in range(3))
+
+    def add(
+        self,
+        contacts: Contacts,
+        forces: Array,
+        depths: Array,
+        before: Sequence[Pose],
+        after: Sequence[Pose],
+        dt: float,
+        metre: float,
+    ) -> Mask:
+        """A piece of dt seconds: mean forces (n, 3) on the model at its contacts, and depths (n,) at its end. Returns which
+        contacts act: those that press, or are overlapped at the end."""
+        self.greatest[:, 2] = 0.0
+        for index in range(self.tools):
+            mine = contacts.b == index
+            touching = mine & (contacts.depth > 0)
+            arm = contacts.point[mine] - 0.5 * (before[index].at + after[index].at)
+            self.force[index] -= forces[mine].sum(axis=0) * (dt / self.dt)
+            self.torque[index] -= np.cross(arm, forces[mine]).sum(axis=0) * metre * (dt / self.dt)
+            area, depth = float(contacts.area[touching].sum()), float(contacts.depth[touching].max(initial=0.0))
+            self.greatest[index, :2] = np.maximum(self.greatest[index, :2], (area, depth))
+            self.greatest[index, 2] = depths[mine].max(initial=0.0)
+        acting = (depths > 0) | (forces != 0).any(axis=1)
+        if acting.any() or not len(self.contacts):
+            self.contacts, self.forces, self.depths = contacts.chosen(acting), forces[acting], depths[acting]
+        return acting
+
+    def reaction(self, index: int) -> Reaction:
+        return Reaction(self.force[index], self.torque[index], *(float(x) for x in self.greatest[index]))
