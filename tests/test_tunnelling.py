@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cadsculpt.collide.mesh import TriangleMesh
 from cadsculpt.errors import SimulationError
 from cadsculpt.model import Model, SourceBody, build_model
 from cadsculpt.motion.path import ToolPath
@@ -22,10 +23,17 @@ TOOLS: dict[str, dict[str, Any]] = {
     "point": {"shape": "point"},
     "sphere": {"shape": "sphere", "radius": 3.0},
     "surface": {"shape": "surface", "file": "cap"},
+    "mesh": {"shape": "mesh", "file": "wedge"},
     "half space": {"shape": "half_space"},
 }
-TIP = {"point": 0.0, "sphere": 3.0, "surface": 0.0}
+TIP = {"point": 0.0, "sphere": 3.0, "surface": 0.0, "mesh": 0.0}
 """How far above its lowest point the origin of each tool lies."""
+
+WEDGE = TriangleMesh.of(
+    np.array([[0.0, 0, 0], [3, -3, 4], [3, 3, 4], [-3, 3, 4], [-3, -3, 4]]),
+    np.array([[0, 1, 4], [0, 2, 1], [0, 3, 2], [0, 4, 3], [1, 2, 3], [1, 3, 4]]),
+)
+"""A pyramid on its tip."""
 
 
 def sheet(size: float, dome: float, corner: tuple[float, float], *, outward: bool = True) -> BSplineSurface:
@@ -51,7 +59,8 @@ def model_of(kind: str, rows: list[tuple[float, list[float]]], step: float = 1e-
     face = SourceFace(1, "plate", sheet(SIZE, 0.0, (0.0, 0.0)))
     paths = {t.name: ToolPath.of_rows(t.path) for t in scene.tool}  # type: ignore[arg-type]
     cap = sheet(6.0, 2.0, (-3.0, -3.0), outward=False)
-    return build_model(scene, [SourceBody("plate", (face,))], paths, {"tool": [cap]})
+    cap = cap.with_control_points(cap.control_points - [0.0, 0.0, cap.evaluate(0.5, 0.5)[2]])  # its tip in the origin
+    return build_model(scene, [SourceBody("plate", (face,))], paths, {"tool": [cap]}, {"tool": WEDGE})
 
 
 @pytest.mark.parametrize("kind", TIP)
@@ -64,9 +73,10 @@ def test_a_tool_that_crosses_the_whole_part_in_one_step_is_caught(kind, height):
     # to a stride's hundred-thousandth, and to the rounding of poses so far away
     assert result.summary.first_contact == pytest.approx(0.5 * seconds, abs=2e-5 * seconds / height + 1e-14)
     if result.converged:
-        assert result.summary.max_depth > 0
-        assert result.summary.max_force > 0
-        assert result.summary.max_displacement > 0
+        assert result.summary.max_depth > 0.5
+        # a shot leaves no time for an impulse that could be seen
+        assert height > 30.0 or result.summary.max_force > 0
+        assert height > 30.0 or result.summary.max_displacement > 0
     else:
         assert "faster than sound" in result.failure
 
@@ -74,7 +84,7 @@ def test_a_tool_that_crosses_the_whole_part_in_one_step_is_caught(kind, height):
 @pytest.mark.parametrize("kind", TIP)
 def test_a_tool_that_passes_beside_the_part_touches_nothing(kind):
     """Within a hair of the plate's border and never over it: no contact, and the plate as it was, bit for bit."""
-    beside = -0.01 - {"point": 0.0, "sphere": 3.0, "surface": 3.0}[kind]
+    beside = -0.01 - {"point": 0.0, "sphere": 3.0, "surface": 3.0, "mesh": 3.0}[kind]
     session = Session(model_of(kind, [(0.0, [beside, 10, 50]), (1e-3, [beside, 10, -50])]))
     session.step()
     assert np.isnan(session.state.touched[0, 0])
@@ -103,8 +113,8 @@ def test_first_contact_does_not_depend_on_the_step():
 
 def test_a_tool_moved_by_a_program_is_followed_too():
     session = Session(model_of("sphere", [(0.0, [10, 10, 40])]))
-    reaction = session.step({"tool": Pose(np.array([10.0, 10.0, -40.0]))}, dt=0.02)["tool"]
-    assert session.state.touched[0, 0] == pytest.approx(0.02 * 37.0 / 80.0, rel=1e-3)
+    reaction = session.step({"tool": Pose(np.array([10.0, 10.0, 2.0]))}, dt=0.02)["tool"]
+    assert session.state.touched[0, 0] == pytest.approx(0.02 * 37.0 / 38.0, rel=1e-3)
     assert reaction.force[2] > 0
 
 
