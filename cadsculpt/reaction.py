@@ -32,8 +32,8 @@ class Reaction:
 
 @dataclass(slots=True, eq=False)
 class StepActs:
-    """What acts during one step of dt seconds: the tools' impulses over its pieces, and the contacts of the last piece
-    in which anything acted."""
+    """What acts during one step of dt seconds: the tools' impulses over its pieces, and the contacts of the piece in which
+    the overlap was deepest."""
 
     tools: int
     dt: float
@@ -44,6 +44,7 @@ class StepActs:
     force: Array = field(init=False)
     torque: Array = field(init=False)
     greatest: Array = field(init=False)
+    _deepest: float = field(init=False, default=-np.inf)
 
     def __post_init__(self) -> None:
         self.force, self.torque, self.greatest = (np.zeros((self.tools, 3)) for _ in range(3))
@@ -71,8 +72,10 @@ class StepActs:
             self.greatest[index, :2] = np.maximum(self.greatest[index, :2], (area, depth))
             self.greatest[index, 2] = depths[mine].max(initial=0.0)
         acting = (depths > 0) | (forces != 0).any(axis=1)
-        if acting.any() or not len(self.contacts):
+        deepest = float(np.maximum(contacts.depth, depths)[acting].max(initial=-np.inf))
+        if not self._deepest > deepest:
             self.contacts, self.forces, self.depths = contacts.chosen(acting), forces[acting], depths[acting]
+            self._deepest = deepest
         return acting
 
     def reaction(self, index: int) -> Reaction:
