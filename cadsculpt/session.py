@@ -376,7 +376,11 @@ class Session:
         patch = self.model.patches[index]
         delta = patch.refit.fit(self.displacement(index), self.model.refit_threshold)
         rest = patch.surface.control_points
-        self.state.control_points[index] = np.where(delta == 0.0, rest, rest + delta)
+        net = np.where(delta == 0.0, rest, rest + delta)
+        if not np.array_equal(net, self.state.control_points[index]):
+            # read-only: the broad phase takes the same array for the same net
+            net.flags.writeable = False
+            self.state.control_points[index] = net
 
 
 def _tool_velocities(contacts: Contacts, before: list[Pose], after: list[Pose], dt: float) -> Array:

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..spline.region import ON, Region
+from .broad import extents_of
 from .cells import Cells, halves, kept_cells, span_rectangles
 from .grid import PatchGrid
-from .query import SurfaceTool, extents_of
+from .query import SurfaceTool
 from .workspace import Patch, Workspace
 
 Array = NDArray[np.float64]

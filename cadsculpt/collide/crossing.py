@@ -10,15 +10,129 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit
-from .tri_tri import WORK, tri_tri
-from .workspace import grown
+from .broad import candidate_pairs
+from .finest import finest_crossings
+from .hull import apart, span_pairs
+from .levels import traverse
+from .query import Crossings, DetectCache, SurfaceTool
+from .tri_tri import WORK, culled_tri_tri
+from .triangulate import triangulate
+from .workspace import Patch, grown, longer
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-PLANE_ROUNDING = 64 * 2.0**-53
-"""Bound on the error of n . (p - q), n = e1 x e2, relative to max(|e1|, |e2|)^2 |p - q|_1: a few dozen roundings."""
+
+def crossings(a: SurfaceTool, b: SurfaceTool, cache: DetectCache | None = None) -> Crossings:
+    """All pairs of triangles of the finest meshes of two bodies that meet, by patch of a (`face`), patch of b
+    (`tool_face`), and cells of either; `tool` is 0.
+
+    They are those of the whole meshes (`whole_mesh`), whatever the levels of detail, but only what is near the other body is
+    made. Give the same cache from step to step: what belongs to nets that stay the same is kept in it. Raises
+    GeometryError for control points that are not finite.
+    """
+    cache = DetectCache() if cache is None else cache
+    cache.counters[:] = 0
+    extents = cache.boxes(-1, a.nets, "first body"), cache.boxes(0, b.nets, "second body")
+    parts = []
+    for i, k in candidate_pairs(*extents).tolist():
+        mine, its = cache.workspace((-1, i), a.grids[i]), cache.workspace((0, k), b.grids[k])
+        g = mine.load(a.nets[i], paper=False, delta=0.0)
+        h = its.load(b.nets[k], paper=False, delta=0.0)
+        triangles, relation, rank, segments = finest_crossings(g, *mine.boxes, h, *its.boxes)
+        if len(rank):
+            order = np.argsort(rank)
+            parts.append(Crossings.of((i, 0, k), triangles[order], relation[order], segments[order]))
+    return parts[0] if len(parts) == 1 else Crossings.joined(parts)
+
+
+@njit
+def meet(
+    g: Patch, h: Patch, axis: Array, reach: float, tolerance: float, mark_a: int, mark_b: int
+) -> tuple[bool, Index, Index, Index, Array]:
+    """Sections 4.3 to 4.7 over two patches: whether their hulls are apart (nothing else is looked at then), and what
+    `cross` finds in the window of all pairs of spans within `reach` of each other."""
+    g.counters[0] += 1
+    if apart(positions(g.net), positions(h.net), axis, reach):
+        nothing = np.empty((0, 3), np.int64)
+        return True, nothing, np.empty((0, 6), np.int64), np.empty(0, np.int64), np.empty((0, 6))
+    for own in (g, h):
+        for k in range(len(own.box)):
+            own.counters[1] += own.covers[k]
+    spans = np.empty((256, 2), np.int64)
+    count = span_pairs(g.box, g.covers, h.box, h.covers, reach, spans)
+    if count > len(spans):
+        spans = np.empty((count, 2), np.int64)
+        span_pairs(g.box, g.covers, h.box, h.covers, reach, spans)
+    left, triangles, relation, segments = cross(g, h, spans[:count], reach, tolerance, mark_a, mark_b)
+    return False, left, triangles, relation, segments
+
+
+@njit
+def positions(net: Array) -> Array:
+    """The control points (n, 3) of a homogeneous net (r, s, 4)."""
+    out = np.empty((net.shape[0] * net.shape[1], 3))
+    for i in range(net.shape[0]):
+        for j in range(net.shape[1]):
+            for c in range(3):
+                out[i * net.shape[1] + j, c] = net[i, j, c] / net[i, j, 3]
+    return out
+
+
+@njit
+def cross(
+    g: Patch, h: Patch, spans: Index, reach: float, tolerance: float, mark_a: int, mark_b: int
+) -> tuple[Index, Index, Index, Array]:
+    """Sections 4.5 to 4.7 over pairs of spans (k, 2): spheres of both refined together, triangulation, triangle tests.
+
+    Returns the cells (n, 3) of g whose box, and the sag of the surface over it, comes within `reach` of h's, and the
+    triangles that meet: vertices (m, 6) of g's and h's, relation (m,), segments (m, 6). mark_a, mark_b : numbers new to
+    the marks of g and h, as are those that follow them.
+    """
+    mine, its, pairs = traverse(g, h, spans, reach, tolerance, mark_a, mark_b)
+    if len(pairs) == 0:
+        return mine, np.empty((0, 6), np.int64), np.empty(0, np.int64), np.empty((0, 6))
+    tri_a, first_a = triangulate(g, mine, len(mine), mark_a)
+    tri_b, first_b = triangulate(h, its, len(its), mark_b)
+    box_a, box_b = cell_boxes(g.points, tri_a, first_a), cell_boxes(h.points, tri_b, first_b)
+    sag_a, sag_b = sags(g, mine), sags(h, its)
+    stays = np.zeros(len(mine), np.bool_)
+    kept = 0
+    for k in range(len(pairs)):
+        a, b = pairs[k, 0], pairs[k, 1]
+        if near(box_a, a, box_b, b, sag_a[a] + sag_b[b] + reach):
+            stays[a] = True
+            pairs[kept, 0], pairs[kept, 1] = a, b
+            kept += 1
+    found, segments, tests = crossing_triangles(
+        g.points, g.inside, tri_a, first_a, box_a, h.points, h.inside, tri_b, first_b, box_b, pairs[:kept]
+    )
+    g.counters[5] += len(tri_a) + len(tri_b)
+    g.counters[6] += tests
+    g.counters[7] += len(found)
+    left = 0
+    for a in range(len(mine)):
+        if stays[a] or g.paper:
+            for c in range(3):
+                mine[left, c] = mine[a, c]
+            left += 1
+    triangles, relation = np.empty((len(found), 6), np.int64), np.empty(len(found), np.int64)
+    for k in range(len(found)):
+        for v in range(3):
+            triangles[k, v], triangles[k, 3 + v] = tri_a[found[k, 0], v], tri_b[found[k, 1], v]
+        relation[k] = found[k, 2]
+    return mine[:left], triangles, relation, segments
+
+
+@njit
+def sags(g: Patch, cells: Index) -> Array:
+    """How far the surface may leave the triangles of each cell (n, 3)."""
+    out = np.empty(len(cells))
+    for t in range(len(cells)):
+        at = g.offset[cells[t, 0]] + cells[t, 1] * g.tally[cells[t, 0], 1] + cells[t, 2]
+        out[t] = g.spheres[at, 5] + g.slack
+    return out
 
 
 @njit
@@ -37,47 +151,13 @@ def cell_boxes(points: Array, triangles: Index, first: Index) -> Array:
 
 
 @njit
-def overlapping(box_a: Array, sag_a: Array, box_b: Array, sag_b: Array, pairs: Index, margin: float) -> Mask:
-    """Which pairs (k, 2) of cells can come within `margin`: their triangles' boxes (n, 6), grown by the sags (n,),
-    do."""
-    out = np.empty(len(pairs), np.bool_)
-    for k in range(len(pairs)):
-        a, b = pairs[k, 0], pairs[k, 1]
-        pad = sag_a[a] + sag_b[b] + margin
-        out[k] = (
-            box_a[a, 0] <= box_b[b, 3] + pad and box_b[b, 0] <= box_a[a, 3] + pad
-            and box_a[a, 1] <= box_b[b, 4] + pad and box_b[b, 1] <= box_a[a, 4] + pad
-            and box_a[a, 2] <= box_b[b, 5] + pad and box_b[b, 2] <= box_a[a, 5] + pad
-        )  # fmt: skip
-    return out
-
-
-@njit
-def planes(points: Array, triangles: Index) -> Array:
-    """Per triangle (t, 4): its normal e1 x e2, and the squared length of its longer edge times PLANE_ROUNDING."""
-    out = np.empty((len(triangles), 4))
-    for t in range(len(triangles)):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-        vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
-        out[t, 0], out[t, 1], out[t, 2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        out[t, 3] = PLANE_ROUNDING * max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
-    return out
-
-
-@njit
-def parted(points_p: Array, tri_p: Index, plane: Array, p: int, points_q: Array, tri_q: Index, q: int) -> bool:
-    """All vertices of triangle q lie clearly on one side of the plane of triangle p."""
-    above, below = 0, 0
-    o = tri_p[p, 0]
-    for v in range(3):
-        k = tri_q[q, v]
-        x, y, z = points_q[k, 0] - points_p[o, 0], points_q[k, 1] - points_p[o, 1], points_q[k, 2] - points_p[o, 2]
-        side = plane[p, 0] * x + plane[p, 1] * y + plane[p, 2] * z
-        doubt = plane[p, 3] * (abs(x) + abs(y) + abs(z))
-        above += side > doubt
-        below += side < -doubt
-    return above == 3 or below == 3
+def near(box_a: Array, a: int, box_b: Array, b: int, pad: float) -> bool:
+    """Box a of (n, 6) comes within `pad` of box b along each axis."""
+    return bool(
+        box_a[a, 0] <= box_b[b, 3] + pad and box_b[b, 0] <= box_a[a, 3] + pad
+        and box_a[a, 1] <= box_b[b, 4] + pad and box_b[b, 1] <= box_a[a, 4] + pad
+        and box_a[a, 2] <= box_b[b, 5] + pad and box_b[b, 2] <= box_a[a, 5] + pad
+    )  # fmt: skip
 
 
 @njit
@@ -90,7 +170,6 @@ def crossing_triangles(
 
     Triangles without a vertex on the trimmed face are left out.
     """
-    plane_a, plane_b = planes(points_a, tri_a), planes(points_b, tri_b)
     found = np.empty((64, 3), np.int64)
     segments = np.empty((64, 6))
     count, tests = 0, 0
@@ -110,15 +189,11 @@ def crossing_triangles(
                 if not (inside_b[tri_b[t, 0]] or inside_b[tri_b[t, 1]] or inside_b[tri_b[t, 2]]):
                     continue
                 tests += 1
-                if parted(points_b, tri_b, plane_b, t, points_a, tri_a, s):
-                    continue
-                if parted(points_a, tri_a, plane_a, s, points_b, tri_b, t):
-                    continue
                 for v in range(3):
                     for x in range(3):
                         both[v, x] = points_a[tri_a[s, v], x]
                         both[3 + v, x] = points_b[tri_b[t, v], x]
-                relation = tri_tri(both, segment, work)
+                relation = culled_tri_tri(both, segment, work)
                 if relation == 0:
                     continue
                 if count == len(found):
@@ -129,13 +204,3 @@ def crossing_triangles(
                     segments[count, x] = segment[x]
                 count += 1
     return found[:count], segments[:count], tests
-
-
-@njit
-def longer(rows: Array) -> Array:
-    """The same rows in an array twice as long."""
-    out = np.empty((2 * len(rows), rows.shape[1]))
-    for i in range(len(rows)):
-        for c in range(rows.shape[1]):
-            out[i, c] = rows[i, c]
-    return out

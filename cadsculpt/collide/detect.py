@@ -34,7 +34,6 @@ from .query import (
     PointTool,
     Run,
     SurfaceTool,
-    extents_of,
 )
 from .surface_contacts import surface_contacts
 
@@ -72,7 +71,7 @@ def detect(
     """
     cache = DetectCache() if cache is None else cache
     cache.counters[:] = 0
-    run = Run(grids, nets, options, cache, body, extents_of(nets, "model"))
+    run = Run(grids, nets, options, cache, body, cache.boxes(-1, nets, "model"))
     contacts, crossings = [], []
     for index, tool in enumerate(tools):
         if isinstance(tool, FieldTool):

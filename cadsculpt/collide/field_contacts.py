@@ -64,7 +64,7 @@ def _field_cells(run: Run, g: Patch, work: Workspace, tool: DistanceField) -> In
     cells, centre, _ = levels.window_cells(work, window)
     ended = len(cells) == 0
     while not ended:
-        cells, centre, ended = levels.refine(work, cells, lower_bound(tool, centre), run.options.margin)
+        cells, centre, ended = levels.refine(g, cells, lower_bound(tool, centre), run.options.margin)
     return cells
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit
-from .spheres import make_spheres
-from .workspace import Patch, Tree, Workspace, canonical, grown, make_points
+from .spheres import fill_spheres, make_spheres
+from .workspace import Patch, Tree, Workspace, canonical, grown, make_points, tree_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -44,7 +44,8 @@ def window_cells(work: Workspace, window: Mask | None = None) -> tuple[Index, Ar
     return cells, centre, radius
 
 
-def refine(work: Workspace, cells: Index, distance: Array, margin: float) -> tuple[Index, Array, bool]:
+@njit
+def refine(g: Patch, cells: Index, distance: Array, margin: float) -> tuple[Index, Array, bool]:
     """One level (4.5): cells (n, 3) of one level whose spheres come within `margin` of the tool, split; the others
     discarded.
 
@@ -52,18 +53,8 @@ def refine(work: Workspace, cells: Index, distance: Array, margin: float) -> tup
     is a NaN. Returns the children with their spheres' centres, and False; or, when the loop ends here, the cells kept
     themselves, and True.
     """
-    g = work.patch
     g.counters[8] += 1
     g.counters[4] += len(cells)
-    cells, ended = split_near(work.tree, cells, distance, margin, g.paper)
-    if ended:
-        return cells, np.zeros((0, 3)), True
-    return cells, make_spheres(g, cells, len(cells))[0], False
-
-
-@njit
-def split_near(g: Tree, cells: Index, distance: Array, margin: float, paper: bool) -> tuple[Index, bool]:
-    """The children of the cells whose spheres come near, or, where the loop ends, these cells."""
     level, last = cells[0, 0], len(g.offset) - 2
     offset, across, spheres, covers = g.offset[level], g.tally[level, 1], g.spheres, g.covers
     row_u, row_v, child_u, child_v = g.row_u, g.row_v, g.child_u, g.child_v
@@ -80,12 +71,12 @@ def split_near(g: Tree, cells: Index, distance: Array, margin: float, paper: boo
                 children, (child_u[level, ku + 1] - child_u[level, ku]) * (child_v[level, kv + 1] - child_v[level, kv])
             )
     all_met = level > 0 and kept == len(cells)
-    if paper:
+    if g.paper:
         ended = level == last or all_met
     else:
         ended = most <= (ALL_MET_ROWS if all_met else LAST_ROWS)
     if ended or kept == 0:
-        return near[:kept], True
+        return near[:kept], np.zeros((0, 3)), True
     out = np.empty((children * kept, 3), np.int64)
     count = 0
     offset, across = g.offset[level + 1], g.tally[level + 1, 1]
@@ -95,23 +86,16 @@ def split_near(g: Tree, cells: Index, distance: Array, margin: float, paper: boo
                 if covers[offset + ku * across + kv]:
                     out[count, 0], out[count, 1], out[count, 2] = level + 1, ku, kv
                     count += 1
-    return out[:count], False
-
-
-def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
-    """Flat names of all finest vertices on the face that the cells hold and that do not carry `mark` in g.visit yet;
-    they get it, and their points are made."""
-    names = unmarked(g.row_u, g.row_v, g.visit, g.inside, len(g.u), len(g.v), g.wrap_u, g.wrap_v, g.poles, cells, mark)
-    make_points(g, names, len(names))
-    return names
+    out = out[:count]
+    return out, make_spheres(g, out, count)[0], False
 
 
 @njit
-def unmarked(
-    row_u: Index, row_v: Index, visit: Index, on_face: Mask, m: int, n: int, wrap_u: bool, wrap_v: bool, poles: int,
-    cells: Index, mark: int,
-) -> Index:  # fmt: skip
-    """The vertices of `vertices_of`."""
+def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
+    """Flat names of all finest vertices on the face that the cells hold and that do not carry `mark` in g.visit yet;
+    they get it, and their points are made."""
+    row_u, row_v, visit, on_face, m, n = g.row_u, g.row_v, g.visit, g.inside, len(g.u), len(g.v)
+    wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
     names = np.empty((256, 1), np.int64)
     count = 0
     for t in range(len(cells)):
@@ -126,43 +110,61 @@ def unmarked(
                     visit[k] = mark
                     names[count, 0] = k
                     count += 1
-    return names[:count, 0].copy()
+    found = names[:count, 0].copy()
+    make_points(g, found, count)
+    return found
 
 
+@njit
 def traverse(
-    mine: Workspace, other: Workspace, spans: Index, margin: float, tolerance: float
+    g: Patch, h: Patch, spans: Index, margin: float, tolerance: float, mark_a: int, mark_b: int
 ) -> tuple[Index, Index, Index]:
     """The loop of 4.5 over two patches a and b, from pairs of spans (n, 2) to pairs of cells with nothing left to
     refine.
 
     Only children of intersecting spheres are tested against each other. Returns the cells of a (na, 3), of b (nb, 3)
-    and the pairs (k, 2) of their places in these whose spheres come within `margin` of each other.
+    and the pairs (k, 2) of their places in these whose spheres come within `margin` of each other. mark_a, mark_b :
+    numbers new to g.mark and h.mark, as are those that follow them.
     """
-    a, b, g, h = mine.tree, other.tree, mine.patch, other.patch
-    mark_a, mark_b = mine.new_mark(), other.new_mark()
-    pairs = np.zeros((len(spans), 6), dtype=np.int64)
-    pairs[:, 1], pairs[:, 2] = np.divmod(spans[:, 0], a.tally[0, 1])
-    pairs[:, 4], pairs[:, 5] = np.divmod(spans[:, 1], b.tally[0, 1])
-    split = np.ones((len(pairs), 2), dtype=np.bool_)
+    a, b = tree_of(g), tree_of(h)
+    pairs, split = np.zeros((len(spans), 6), np.int64), np.ones((len(spans), 2), np.bool_)
+    for t in range(len(spans)):
+        pairs[t, 1], pairs[t, 2] = spans[t, 0] // a.tally[0, 1], spans[t, 0] % a.tally[0, 1]
+        pairs[t, 4], pairs[t, 5] = spans[t, 1] // b.tally[0, 1], spans[t, 1] % b.tally[0, 1]
     fresh_a, fresh_b = children(a, pairs, 0, split, mark_a), children(b, pairs, 3, split, mark_b)
-    done = [pairs[:0]]
+    done = np.empty((64, 6), np.int64)
+    total = 0
     while len(pairs):
         g.counters[8] += 1
-        make_spheres(g, fresh_a, len(fresh_a))
-        make_spheres(h, fresh_b, len(fresh_b))
-        generated = len(fresh_a) + len(fresh_b)
+        fill_spheres(g, fresh_a, len(fresh_a))
+        fill_spheres(h, fresh_b, len(fresh_b))
         pairs, finished, met, tests = meet(a, b, pairs, split, margin)
         g.counters[4] += tests
-        done.append(finished)
+        done = appended(done, total, finished)
+        total += len(finished)
         # 4.5.1: all spheres generated at this level, on both bodies, intersect
-        if g.paper and met == generated:
-            done.append(pairs)
+        if g.paper and met == len(fresh_a) + len(fresh_b):
+            done = appended(done, total, pairs)
+            total += len(pairs)
             break
         split, fresh_a, fresh_b = plan(a, b, pairs, tolerance, g.paper, mark_a, mark_b)
-    pairs = np.concatenate(done)
-    cells_a, place_a = distinct(a, pairs, 0, mark_a + 1)
-    cells_b, place_b = distinct(b, pairs, 3, mark_b + 1)
-    return cells_a, cells_b, np.stack([place_a, place_b], axis=1)
+    cells_a, place_a = distinct(a, done[:total], 0, mark_a + 1)
+    cells_b, place_b = distinct(b, done[:total], 3, mark_b + 1)
+    both = np.empty((total, 2), np.int64)
+    for t in range(total):
+        both[t, 0], both[t, 1] = place_a[t], place_b[t]
+    return cells_a, cells_b, both
+
+
+@njit
+def appended(rows: Index, count: int, more: Index) -> Index:
+    """rows[:count] and behind them `more`, in an array that may be longer."""
+    while count + len(more) > len(rows):
+        rows = grown(rows)
+    for t in range(len(more)):
+        for c in range(rows.shape[1]):
+            rows[count + t, c] = more[t, c]
+    return rows
 
 
 @njit

@@ -12,9 +12,9 @@ from ..errors import GeometryError, InputError
 from ..motion.motion import Motion
 from ..spline.region import Region
 from .advance import Queue, Side, Trim, fill
+from .broad import extents_of
 from .cells import span_rectangles
 from .grid import PatchGrid
-from .query import extents_of
 from .swept_boxes import Span
 from .workspace import Patch, Workspace
 

@@ -54,10 +54,10 @@ def point_contacts(run: Run, index: int, tool: PointTool) -> list[Contacts]:
 
 def _in_sphere(run: Run, face: int, position: Array) -> bool:
     """The paper's own condition: the point lies in a sphere of every level, down to the finest."""
-    work, _ = run.model(face)
+    work, g = run.model(face)
     cells, centre, _ = levels.window_cells(work)
     ended = False
     while not ended and len(cells):
         distance = np.linalg.norm(centre - position, axis=1)
-        cells, centre, ended = levels.refine(work, cells, distance, run.options.margin)
+        cells, centre, ended = levels.refine(g, cells, distance, run.options.margin)
     return len(cells) > 0

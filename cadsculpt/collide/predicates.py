@@ -185,7 +185,7 @@ def orient3d_exact(
     return whole[n - 1] if n > 0 else 0.0
 
 
-@njit
+@njit_inline
 def orient3d(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float,
     cx: float, cy: float, cz: float, dx: float, dy: float, dz: float,

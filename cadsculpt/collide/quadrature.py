@@ -112,19 +112,11 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
     return uv, out, area
 
 
+@njit
 def spread(g: Patch, names: Index, mark: int) -> Index:
     """The vertices on the face, a block of neighbours at a time, around `names` that do not carry `mark` in g.visit
     yet; they get it, and their points are made."""
-    fresh = beside(g.visit, g.inside, len(g.u), len(g.v), g.wrap_u, g.wrap_v, g.poles, names, mark)
-    make_points(g, fresh, len(fresh))
-    return fresh
-
-
-@njit
-def beside(
-    visit: Index, on_face: Mask, m: int, n: int, wrap_u: bool, wrap_v: bool, poles: int, names: Index, mark: int
-) -> Index:
-    """The vertices of `spread`."""
+    visit, on_face, m, n, wrap_u, wrap_v, poles = g.visit, g.inside, len(g.u), len(g.v), g.wrap_u, g.wrap_v, g.poles
     out = np.empty((256, 1), np.int64)
     found = 0
     for t in range(len(names)):
@@ -150,7 +142,9 @@ def beside(
                                 visit[k] = mark
                                 out[found, 0] = k
                                 found += 1
-    return out[:found, 0].copy()
+    fresh = out[:found, 0].copy()
+    make_points(g, fresh, found)
+    return fresh
 
 
 def in_blocks(names: Index, columns: int) -> tuple[Index, Index]:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from operator import is_
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import GeometryError, InputError
+from ..errors import InputError
+from .broad import Extents, near_box
 from .contacts import Contacts
 from .grid import PatchGrid
-from .workspace import Patch, Workspace, extent_of
+from .workspace import Patch, Workspace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -149,6 +151,13 @@ class Crossings:
         return len(self.face)
 
     @classmethod
+    def of(cls, key: tuple[int, int, int], triangles: Index, relation: Index, segments: Array) -> Crossings:
+        """Those of one pair of patches (face, tool, patch of the tool): vertices (n, 6) of both triangles, segments (n,
+        6)."""
+        face, tool, patch = (np.full(len(relation), value, dtype=np.int64) for value in key)
+        return cls(face, tool, patch, triangles[:, :3], triangles[:, 3:], relation, segments.reshape(-1, 2, 3))
+
+    @classmethod
     def joined(cls, parts: Sequence[Crossings]) -> Crossings:
         """All crossings of several sets."""
         i, t = np.zeros(0, np.int64), np.zeros((0, 3), np.int64)
@@ -176,6 +185,21 @@ class DetectCache:
     counters: Index = field(default_factory=lambda: np.zeros(len(fields(Counters)), dtype=np.int64))
     workspaces: dict[tuple[int, int], Workspace] = field(default_factory=dict)
     axes: dict[tuple[int, int, int], Array] = field(default_factory=dict)
+    extents: dict[int, Extents] = field(default_factory=dict)
+    grids: tuple[PatchGrid, ...] = ()
+    fewest: int = 1
+
+    def boxes(self, key: int, nets: Sequence[Array], whose: str) -> Array:
+        """Boxes (n, 2, 3) of nets: key is -1 for the model's, else the tool. Raises GeometryError for one that is not
+        finite."""
+        return self.extents.setdefault(key, Extents()).of(nets, whose)
+
+    def fewest_cells(self, grids: Sequence[PatchGrid]) -> int:
+        """The fewest cells along a side of any of the grids."""
+        if len(grids) != len(self.grids) or not all(map(is_, grids, self.grids)):
+            self.grids = tuple(grids)
+            self.fewest = min((max(min(grid.shape) - 1, 1) for grid in grids), default=1)
+        return self.fewest
 
     def workspace(self, key: tuple[int, int], grid: PatchGrid) -> Workspace:
         """The workspace of one patch: key is (-1, face) for the model's, (tool, patch) for a tool's."""
@@ -207,16 +231,16 @@ class Run:
     def model(self, face: int) -> tuple[Workspace, Patch]:
         return self.load((-1, face), self.grids[face], self.nets[face])
 
-    def cell_sizes(self) -> Array:
-        """About the diagonal of a finest cell of each of the model's patches: (n,)."""
-        cells = np.array([max(min(grid.shape) - 1, 1) for grid in self.grids])
-        return np.asarray(np.linalg.norm(self.extents[:, 1] - self.extents[:, 0], axis=1) / cells)
+    def cell_size(self, face: int) -> float:
+        """About the diagonal of a finest cell of one of the model's patches."""
+        return float(np.linalg.norm(self.extents[face, 1] - self.extents[face, 0])) / max(
+            min(self.grids[face].shape) - 1, 1
+        )
 
-    def near(self, low: Array, high: Array, margin: float | Array) -> Index:
-        """The model's patches whose boxes come within the margin (one for all, or (n, 1)) of a box."""
+    def near(self, low: Array, high: Array, margin: float, *, felt: bool = False) -> Index:
+        """The model's patches whose boxes come within the margin of a box; felt : and within the size of their cells."""
         self.cache.counters[0] += len(self.extents)
-        meets = (self.extents[:, 0] <= high + margin) & (self.extents[:, 1] >= low - margin)
-        return np.flatnonzero(meets.all(axis=1))
+        return near_box(self.extents, low, high, margin, 1.0 / self.cache.fewest_cells(self.grids) if felt else 0.0)
 
     def rows(
         self,
@@ -246,17 +270,6 @@ class Run:
         a, b, c = (np.full(len(depth), value, dtype=np.int64) for value in (self.body, tool, face))
         u, v, tool_u, tool_v = (np.ascontiguousarray(x) for x in (uv[:, 0], uv[:, 1], tool_uv[:, 0], tool_uv[:, 1]))
         return Contacts(a, b, c, u, v, point, normal, depth, area, tool_point, tool_face, tool_u, tool_v)
-
-
-def extents_of(nets: Sequence[Array], whose: str) -> Array:
-    """Boxes (n, 2, 3) of nets. Raises GeometryError for one that is not finite."""
-    out = np.empty((len(nets), 2, 3))
-    for k, net in enumerate(nets):
-        extent_of(net if net.flags.writeable and net.flags.c_contiguous else np.array(net, dtype=np.float64), out[k])
-    if not np.isfinite(out).all():
-        k = int(np.flatnonzero(~np.isfinite(out).all(axis=(1, 2)))[0])
-        raise GeometryError("a control point is not finite", where=f"patch {k} of the {whose}")
-    return out
 
 
 def on_face(grid: PatchGrid, uv: Array) -> Mask:

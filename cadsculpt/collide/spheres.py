@@ -129,7 +129,21 @@ def sphere_of(points: Array, p00: int, p10: int, p01: int, p11: int, paper: bool
 
 @njit
 def make_spheres(g: Patch, cells: Index, count: int) -> tuple[Array, Array]:
-    """Spheres of cells[:count] (level, ku, kv), each made once per net; their centres (count, 3) and radii (count,).
+    """The spheres of `fill_spheres`: their centres (count, 3) and radii (count,)."""
+    fill_spheres(g, cells, count)
+    spheres, offset, tally = g.spheres, g.offset, g.tally
+    centre, size = np.empty((count, 3)), np.empty(count)
+    for t in range(count):
+        at = offset[cells[t, 0]] + cells[t, 1] * tally[cells[t, 0], 1] + cells[t, 2]
+        for c in range(3):
+            centre[t, c] = spheres[at, c]
+        size[t] = spheres[at, 3]
+    return centre, size
+
+
+@njit
+def fill_spheres(g: Patch, cells: Index, count: int) -> None:
+    """Spheres of cells[:count] (level, ku, kv), each made once per net.
 
     g.spheres: centre, radius, and in column 4 what refinement is worth: certified mode, the sag of the cell's two
     triangles; paper mode, 0 where the normals of the points that refinement would make agree within delta (4.5.1,
@@ -198,13 +212,6 @@ def make_spheres(g: Patch, cells: Index, count: int) -> tuple[Array, Array]:
         spheres[at, 4] = -1.0 if finest else worth
         spheres[at, 5] = bulge
     g.counters[3] += made
-    centre, size = np.empty((count, 3)), np.empty(count)
-    for t in range(count):
-        at = offset[cells[t, 0]] + cells[t, 1] * tally[cells[t, 0], 1] + cells[t, 2]
-        for c in range(3):
-            centre[t, c] = spheres[at, c]
-        size[t] = spheres[at, 3]
-    return centre, size
 
 
 @njit

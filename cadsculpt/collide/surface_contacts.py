@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import hull, levels, quadrature
+from .broad import near_box
 from .closest import project
 from .contacts import Contacts
-from .crossing import cell_boxes, crossing_triangles, overlapping
-from .grid import PatchGrid
+from .crossing import cross, meet, positions
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V
-from .query import Crossings, Run, SurfaceTool, extents_of, finest_size, on_face
-from .triangulate import triangulate
+from .query import Crossings, Run, SurfaceTool, finest_size, on_face
 from .workspace import Patch, Workspace, make_points
 
 Array = NDArray[np.float64]
@@ -26,25 +25,31 @@ EDGE = 1e-5
 """Two tool patches share an edge where their closest points agree to this fraction of the tool's size (CAD's own
 gaps)."""
 
+FARTHER = 0.9
+"""Patches whose boxes are farther than what has been found, by more than the percent to which distances beyond the margin
+are found, hold nothing nearer."""
+
 
 def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Contacts], list[Crossings]]:
     """B-spline tools (4.3 to 4.7): both sides are discretized and refined together."""
-    extents = extents_of(tool.nets, f"tool {index}")
+    extents = run.cache.boxes(index, tool.nets, f"tool {index}")
     low, high = extents[:, 0].min(axis=0), extents[:, 1].max(axis=0)
     size = float(np.linalg.norm(high - low))
     contacts: list[Contacts] = []
     crossings: list[Crossings] = []
-    reach = max(run.options.margin, tool.reach)
-    # an open sheet is felt to the depth of a cell at least, or flat pressed on flat would lose its contact as it begins
-    holds = reach + (run.cell_sizes() if len(tool.nets) == 1 else np.zeros(len(run.grids)))
-    for face in run.near(low, high, holds[:, None]).tolist():
-        work, g = run.model(face)
-        hold = float(holds[face])
+    reach, alone = max(run.options.margin, tool.reach), len(tool.nets) == 1
+    for face in run.near(low, high, reach, felt=alone).tolist():
+        # an open sheet is felt to the depth of a cell at least, or flat pressed on flat would lose its contact as it
+        # begins
+        hold = reach + run.cell_size(face) if alone else reach
         model_low, model_high = run.extents[face] + np.array([[-1.0], [1.0]]) * hold
-        meets = ((extents[:, 0] <= model_high) & (extents[:, 1] >= model_low)).all(axis=1)
+        meets = near_box(extents, model_low, model_high, 0.0, 0.0)
+        if alone and not len(meets):
+            continue
+        work, g = run.model(face)
         cells: list[Index] = []
         culled = True
-        for k in np.flatnonzero(meets).tolist():
+        for k in meets.tolist():
             other, _ = run.load((index, k), tool.grids[k], tool.nets[k])
             for felt in (reach,) if other.closed or run.paper else (reach, hold):
                 left, found = _near_cells(run, (face, index, k), work, other, felt)
@@ -53,15 +58,9 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
                     cells.append(left)
                     crossings += found
                     break
-        if culled and (len(tool.nets) == 1 or _whole_hull_apart(run, face, index, g, tool)):
+        if culled and (alone or _whole_hull_apart(run, face, index, g, tool)):
             continue
-        solid = _Solid(
-            tool.grids,
-            [run.load((index, k), tool.grids[k], tool.nets[k])[1] for k in range(len(tool.nets))],
-            extents,
-            EDGE * size,
-            run.options.margin,
-        )
+        solid = _Solid(run, index, tool, extents, EDGE * size)
         contacts += _closest_contacts(run, index, face, solid, work, cells)
     return contacts, crossings
 
@@ -71,48 +70,41 @@ def _near_cells(
 ) -> tuple[Index | None, list[Crossings]]:
     """The model's cells that come within `reach` of one patch of the tool, and the triangles that cross; None for the
     cells when the hulls are apart."""
-    spans = _span_pairs(run, key, work, work.patch, other, other.patch, reach)
-    if spans is None:
-        return None, []
-    tolerance = 0.0 if run.paper else run.options.tolerance
-    mine, its, pairs = levels.traverse(work, other, spans, reach, tolerance)
-    if not len(pairs):
-        return mine, []
-    return _crossings(run, key, work, other, mine, its, pairs, reach)
-
-
-def _span_pairs(
-    run: Run, key: tuple[int, int, int], work: Workspace, g: Patch, other: Workspace, h: Patch, hold: float
-) -> Index | None:
-    """Hull against hull (4.3), then the window (4.4) as pairs of spans; None when the hulls are apart."""
-    run.cache.counters[0] += 1
     axis = run.cache.axes.setdefault(key, np.zeros(3))
-    mine, its = (np.ascontiguousarray(p.net[..., :3] / p.net[..., 3:]).reshape(-1, 3) for p in (g, h))
-    if hull.apart(mine, its, axis, hold):
-        return None
     if run.paper:
-        windows = []
-        for own, patch, away in ((work, g, its), (other, h, mine)):
+        spans = _paper_spans(run, axis, work, other, reach)
+        if spans is None:
+            return None, []
+        left, triangles, relation, segments = cross(
+            work.patch, other.patch, spans, reach, 0.0, work.new_mark(), other.new_mark()
+        )
+    else:
+        apart, left, triangles, relation, segments = meet(
+            work.patch, other.patch, axis, reach, run.options.tolerance, work.new_mark(), other.new_mark()
+        )
+        if apart:
+            return None, []
+    if not len(relation):
+        return left, []
+    return left, [Crossings.of(key, triangles, relation, segments)]
 
-            def meets(facets: Array, away: Array = away) -> Mask:
-                return np.array([not hull.apart(np.ascontiguousarray(f), away, np.zeros(3), 0.0) for f in facets])
 
-            windows.append(
-                np.flatnonzero(
-                    hull.paper_window(own.grid.surface, patch, meets, True) & own.grid.covers[: len(patch.box)]
-                )
-            )
-        for own in (work, other):
-            levels.window_cells(own)
-        return np.stack(np.meshgrid(*windows, indexing="ij"), axis=-1).reshape(-1, 2)
-    for own in (work, other):
+def _paper_spans(run: Run, axis: Array, work: Workspace, other: Workspace, reach: float) -> Index | None:
+    """Hull against hull (4.3), then the paper's window (4.4) as pairs of spans; None when the hulls are apart."""
+    run.cache.counters[0] += 1
+    mine, its = positions(work.patch.net), positions(other.patch.net)
+    if hull.apart(mine, its, axis, reach):
+        return None
+    windows = []
+    for own, away in ((work, its), (other, mine)):
+
+        def meets(facets: Array, away: Array = away) -> Mask:
+            return np.array([not hull.apart(np.ascontiguousarray(f), away, np.zeros(3), 0.0) for f in facets])
+
+        window = hull.paper_window(own.grid.surface, own.patch, meets, True)
+        windows.append(np.flatnonzero(window & own.grid.covers[: len(window)]))
         levels.window_cells(own)
-    pairs = np.empty((1024, 2), np.int64)
-    count = hull.span_pairs(g.box, g.covers, h.box, h.covers, hold, pairs)
-    if count > len(pairs):
-        pairs = np.empty((count, 2), np.int64)
-        hull.span_pairs(g.box, g.covers, h.box, h.covers, hold, pairs)
-    return pairs[:count]
+    return np.stack(np.meshgrid(*windows, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def _whole_hull_apart(run: Run, face: int, index: int, g: Patch, tool: SurfaceTool) -> bool:
@@ -122,42 +114,6 @@ def _whole_hull_apart(run: Run, face: int, index: int, g: Patch, tool: SurfaceTo
     its = np.concatenate([np.asarray(net, dtype=np.float64).reshape(-1, 3) for net in tool.nets])
     run.cache.counters[0] += 1
     return hull.apart(mine, its, run.cache.axes.setdefault((face, index, -1), np.zeros(3)), 0.0)
-
-
-def _crossings(
-    run: Run,
-    key: tuple[int, int, int],
-    work: Workspace,
-    other: Workspace,
-    mine: Index,
-    its: Index,
-    pairs: Index,
-    reach: float,
-) -> tuple[Index, list[Crossings]]:
-    """Triangulation (4.6) and triangle tests (4.7) over the pairs of cells left. Returns the model's cells whose box,
-    and the sag of the surface over it, comes within `reach` of the tool's, and the crossings."""
-    g, h = work.patch, other.patch
-    tri_a, first_a = triangulate(g, mine, len(mine), work.new_mark())
-    tri_b, first_b = triangulate(h, its, len(its), other.new_mark())
-    box_a, box_b = cell_boxes(g.points, tri_a, first_a), cell_boxes(h.points, tri_b, first_b)
-    near = overlapping(box_a, _sags(g, mine), box_b, _sags(h, its), pairs, reach)
-    pairs = pairs[near]
-    left = mine if run.paper else mine[np.unique(pairs[:, 0])]
-    found, segments, tests = crossing_triangles(
-        g.points, g.inside, tri_a, first_a, box_a, h.points, h.inside, tri_b, first_b, box_b, pairs
-    )
-    g.counters[5:8] += np.array([len(tri_a) + len(tri_b), tests, len(found)])
-    if not len(found):
-        return left, []
-    face, tool, patch = (np.full(len(found), value, dtype=np.int64) for value in key)
-    segments = segments.reshape(-1, 2, 3)
-    return left, [Crossings(face, tool, patch, tri_a[found[:, 0]], tri_b[found[:, 1]], found[:, 2], segments)]
-
-
-def _sags(g: Patch, cells: Index) -> Array:
-    """How far the surface may leave the triangles of each cell."""
-    at = g.offset[cells[:, 0]] + cells[:, 1] * g.tally[cells[:, 0], 1] + cells[:, 2]
-    return np.asarray(g.spheres[at, 5] + g.slack)
 
 
 def _closest_contacts(
@@ -214,14 +170,22 @@ def _rows(run: Run, index: int, face: int, uv: Array, points: Array, area: Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solid:
-    """A surface tool as `_nearest` sees it: its patches, their boxes (k, 2, 3), how near two closest points are one
-    (on a common edge), and the margin within which distances matter."""
+    """A surface tool as `_nearest` sees it: its patches, their boxes (k, 2, 3), and how near two closest points are one
+    (on a common edge)."""
 
-    grids: tuple[PatchGrid, ...]
-    patches: list[Patch]
+    run: Run
+    index: int
+    tool: SurfaceTool
     extents: Array
     tie: float
-    margin: float
+
+    @property
+    def margin(self) -> float:
+        """Distances matter within it."""
+        return self.run.options.margin
+
+    def patch(self, k: int) -> Patch:
+        return self.run.load((self.index, k), self.tool.grids[k], self.tool.nets[k])[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,13 +223,16 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
     best = np.full((len(points), 9), np.inf)
     state, owner = np.zeros(len(points), np.int64), np.full(len(points), -1, dtype=np.int64)
     beyond = 1.1 * solid.margin + 1e-300 if rough else np.inf
-    order = np.zeros(1, np.int64)
-    if len(solid.patches) > 1:
+    order, away = np.zeros(1, np.int64), np.zeros(1)
+    if len(solid.extents) > 1:
         # the nearest patches first: what they find spares the others the search
         away = np.maximum(solid.extents[:, 0] - points.max(axis=0), points.min(axis=0) - solid.extents[:, 1])
-        order = np.argsort(np.maximum(away, 0.0).max(axis=1), kind="stable")
+        away = np.maximum(away, 0.0).max(axis=1)
+        order = np.argsort(away, kind="stable")
     for k in order.tolist():
-        project(solid.patches[k], points, group, solid.tie, beyond, k, best, state, owner)
+        if FARTHER * away[k] > best[:, DISTANCE].max() + solid.tie:
+            break  # and so are all that follow
+        project(solid.patch(k), points, group, solid.tie, beyond, k, best, state, owner)
     arm = points - best[:, POINT : POINT + 3]
     total = best[:, NORMAL : NORMAL + 3]
     length = np.sqrt(np.einsum("ij,ij->i", total, total))
@@ -278,7 +245,7 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
         if over_edge.any():
             normal[over_edge] = side[over_edge, None] * arm[over_edge] / distance[over_edge, None]
     sided = state == PROPER
-    for k, grid in enumerate(solid.grids):
+    for k, grid in enumerate(solid.tool.grids):
         if grid.inside is not None:
             # what is clear of the tool is so with or without its trimmed parts
             mine = np.flatnonzero((owner == k) & sided & (side * distance <= solid.margin))

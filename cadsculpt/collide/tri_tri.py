@@ -44,6 +44,9 @@ DISJOINT, TOUCHING, CROSSING, COPLANAR_OVERLAP = (int(r) for r in Relation)
 WORK = 27
 """Length of the scratch array that `tri_tri` wants."""
 
+PLANE_ROUNDING = 64 * 2.0**-53
+"""Bound on the error of n . (p - q), n = e1 x e2, relative to max(|e1|, |e2|)^2 |p - q|_1: a few dozen roundings."""
+
 
 def triangle_relation(p: ArrayLike, q: ArrayLike) -> tuple[Relation, Array | None]:
     """How the triangles p and q, (3, 3) each, lie to each other, and the segment (2, 3) in which they meet.
@@ -113,6 +116,37 @@ def tri_tri(t: Array, segment: Array, work: Array) -> int:
 
 
 @njit
+def culled_tri_tri(t: Array, segment: Array, work: Array) -> int:
+    """As `tri_tri`, but what their boxes or the plane of either part clearly never comes to the exact test; `segment`
+    is left as it was then."""
+    for x in range(3):
+        if (
+            max(t[0, x], t[1, x], t[2, x]) < min(t[3, x], t[4, x], t[5, x])
+            or max(t[3, x], t[4, x], t[5, x]) < min(t[0, x], t[1, x], t[2, x])
+        ):  # fmt: skip
+            return DISJOINT
+    if parted(t, 3, 0) or parted(t, 0, 3):
+        return DISJOINT
+    return tri_tri(t, segment, work)
+
+
+@njit_inline
+def parted(t: Array, p: int, q: int) -> bool:
+    """All three rows of t from q on lie clearly, beyond rounding, on one side of the plane of the three from p on."""
+    ux, uy, uz = t[p + 1, 0] - t[p, 0], t[p + 1, 1] - t[p, 1], t[p + 1, 2] - t[p, 2]
+    vx, vy, vz = t[p + 2, 0] - t[p, 0], t[p + 2, 1] - t[p, 1], t[p + 2, 2] - t[p, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    rounding = PLANE_ROUNDING * max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
+    above, below = 0, 0
+    for k in range(3):
+        x, y, z = t[q + k, 0] - t[p, 0], t[q + k, 1] - t[p, 1], t[q + k, 2] - t[p, 2]
+        place, doubt = nx * x + ny * y + nz * z, rounding * (abs(x) + abs(y) + abs(z))
+        above += place > doubt
+        below += place < -doubt
+    return above == 3 or below == 3
+
+
+@njit_inline
 def side(t: Array, a: int, b: int, c: int, d: int) -> float:
     """orient3d of the rows a, b, c, d of t: the one place where the test asks for a sign in space."""
     return orient3d(

@@ -25,6 +25,9 @@ ROUND_OFF = 64 * 2.0**-52
 """Rounding of an evaluated point relative to the largest coordinate: a few units in the last place per basis
 product."""
 
+BOX = 13
+"""Numbers of a cell's box and slab (`finest.fill_boxes`)."""
+
 CLOSED = 1e-9
 """Edges and poles count as closed when they agree to this fraction of the net's size."""
 
@@ -85,7 +88,7 @@ class Patch(NamedTuple):
     sphere_stamp: Index
     box: Array
     bounds: Array
-    bounds_stamp: Index
+    bounds_stamp: Index  # the tick, or minus it where only S_UU and S_VV have been made
     mark: Index
     slot: Index
     visit: Index
@@ -109,6 +112,7 @@ class Workspace:
     extent: Array = field(init=False)
     _flags: Index = field(init=False)
     _mark: int = field(init=False, default=0)
+    _boxes: tuple[Array, Index, Index] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         grid, (m, n), (r, s) = self.grid, self.grid.shape, self.grid.surface.shape
@@ -164,10 +168,12 @@ class Workspace:
         return self.grid.inside is None and (g.wrap_u or g.poles & 3 == 3) and (g.wrap_v or g.poles & 12 == 12)
 
     @property
-    def tree(self) -> Tree:
-        """The cells of the loaded patch."""
-        g = self.patch
-        return Tree(g.tally, g.offset, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.mark, g.slot)
+    def boxes(self) -> tuple[Array, Index, Index]:
+        """Boxes of the cells, the vertices at their corners, and the ticks at which they were made, for `finest`."""
+        if self._boxes is None:
+            cells = int(self.grid.offset[-1])
+            self._boxes = np.empty((cells, BOX)), np.empty((cells, 4), np.int64), _integers(cells)
+        return self._boxes
 
     def new_mark(self) -> int:
         """A number that no entry of `mark` and `visit` holds yet."""
@@ -187,6 +193,16 @@ def grown(rows: Index) -> Index:
         for c in range(rows.shape[1]):
             longer[i, c] = rows[i, c]
     return longer
+
+
+@njit
+def longer(rows: Array) -> Array:
+    """The same rows in an array twice as long."""
+    out = np.empty((2 * len(rows), rows.shape[1]))
+    for i in range(len(rows)):
+        for c in range(rows.shape[1]):
+            out[i, c] = rows[i, c]
+    return out
 
 
 @njit
@@ -237,36 +253,43 @@ def load(
         size = max(size, extent[1, c] - extent[0, c])
     p, q = rows_u.shape[2], rows_v.shape[2]
     spans_u, spans_v = tally[0, 0], tally[0, 1]
+    # along v first, then along u
+    rows = np.empty((r, spans_v, 6))
+    for b in range(spans_v):
+        j0 = first_v[row_v[0, b]]
+        for i in range(r):
+            for c in range(3):
+                low, high = net[i, j0, c], net[i, j0, c]
+                for j in range(j0 + 1, j0 + q):
+                    low, high = min(low, net[i, j, c]), max(high, net[i, j, c])
+                rows[i, b, c], rows[i, b, 3 + c] = low, high
     for a in range(spans_u):
         i0 = first_u[row_u[0, a]]
         for b in range(spans_v):
-            j0 = first_v[row_v[0, b]]
             k = a * spans_v + b
             for c in range(3):
-                low, high = net[i0, j0, c], net[i0, j0, c]
-                for i in range(i0, i0 + p):
-                    for j in range(j0, j0 + q):
-                        low = min(low, net[i, j, c])
-                        high = max(high, net[i, j, c])
+                low, high = rows[i0, b, c], rows[i0, b, 3 + c]
+                for i in range(i0 + 1, i0 + p):
+                    low, high = min(low, rows[i, b, c]), max(high, rows[i, b, 3 + c])
                 box[k, c], box[k, 3 + c] = low, high
     # the four edge curves, as control points of curves along the other direction
     flags[2] = 0
     edge = np.empty((2, max(r, s), 3))
     for direction in range(2):
         length = s if direction == 0 else r
-        rows = rows_u if direction == 0 else rows_v
+        table = rows_u if direction == 0 else rows_v
         first = first_u if direction == 0 else first_v
         for end in range(2):
-            row = 0 if end == 0 else rows.shape[1] - 1
+            row = 0 if end == 0 else table.shape[1] - 1
             for k in range(length):
                 x, y, z, w = 0.0, 0.0, 0.0, 0.0
-                for e in range(rows.shape[2]):
+                for e in range(table.shape[2]):
                     f = first[row] + e
                     i, j = (f, k) if direction == 0 else (k, f)
-                    x += rows[0, row, e] * target[i, j, 0]
-                    y += rows[0, row, e] * target[i, j, 1]
-                    z += rows[0, row, e] * target[i, j, 2]
-                    w += rows[0, row, e] * target[i, j, 3]
+                    x += table[0, row, e] * target[i, j, 0]
+                    y += table[0, row, e] * target[i, j, 1]
+                    z += table[0, row, e] * target[i, j, 2]
+                    w += table[0, row, e] * target[i, j, 3]
                 edge[end, k, 0], edge[end, k, 1], edge[end, k, 2] = x / w, y / w, z / w
         closed = True
         for k in range(length):
@@ -281,6 +304,12 @@ def load(
             if pole:
                 flags[2] |= 1 << (2 * direction + end)
     return 1
+
+
+@njit_inline
+def tree_of(g: Patch) -> Tree:
+    """The cells of a loaded patch."""
+    return Tree(g.tally, g.offset, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.mark, g.slot)
 
 
 @njit_inline
