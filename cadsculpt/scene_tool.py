@@ -27,7 +27,6 @@ from .scene_values import (
 )
 from .spec import LIST, WORD, Fault, Spec, by_type, entries, is_number, read, shown
 
-
 CAM_SUFFIXES = (".ngc", ".nc", ".gcode", ".tap", ".cnc", ".apt", ".cls", ".ncl", ".aptsource")
 """Of the path files that [tool.path_options] are for: G-code, then APT."""
 

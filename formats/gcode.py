@@ -51,20 +51,22 @@ def read(path: str | os.PathLike[str], units: str = "mm", options: PathOptions |
 def parse(text: str, where: str, units: str = "mm", options: PathOptions | None = None) -> ReadPath:
     """The tool path of a text; `where` names it in errors. Raises as `read` does."""
     options = options or PathOptions()
-    moves, warnings = canonical_moves(text, where, options)
+    moves, warnings = canonical_moves(text, where, options, units)
     if any(move.unit == "" for move in moves) and options.units is None:
         warnings.append(f"names no unit (G20, G21): its lengths are taken in {units}")
     return ReadPath(_path(moves, where, units, options), tuple(f"{where}: {line}" for line in warnings))
 
 
-def canonical_moves(text: str, where: str, options: PathOptions | None = None) -> tuple[list[Move], list[str]]:
+def canonical_moves(
+    text: str, where: str, options: PathOptions | None = None, units: str = "mm"
+) -> tuple[list[Move], list[str]]:
     """The moves that a program makes, and warnings. Raises SceneError for the first fault, with its line."""
     options = options or PathOptions()
     moves: list[Move] = []
     number = 1
     try:
         program = Program(text, options.block_delete)
-        machine = Machine(program.parameters)
+        machine = Machine(program.parameters, options.units or units)
         for line in program.run():
             number = line.number
             moves += machine.run(words_of(line.code, program.parameters), number)

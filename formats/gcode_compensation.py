@@ -89,7 +89,10 @@ class Compensation:
         assert move is not None
         assert start is not None
         shifted = replace(move, start=self._place(move.start, start), end=self._place(move.end, end))
-        programmed, made = self._reach(move, self._point(move.start), self._point(move.end)), self._reach(move, start, end)
+        programmed, made = (
+            self._reach(move, self._point(move.start), self._point(move.end)),
+            self._reach(move, start, end),
+        )
         limit = programmed + 0.5 * math.pi if move.kind == "arc" else math.inf  # an arc that goes round has turned back
         if not (0.0 < made < limit) and not (self._entry and made != 0.0):
             raise LineFault("the cutter does not fit between this move's neighbours", "take a smaller one")
@@ -138,7 +141,10 @@ class Compensation:
             assert r is not None
             assert s is not None
             found = _circle_circle(p, r, q, s)
-        end, start = self._shifted(corner, self._direction(before, False)), self._shifted(corner, self._direction(after, True))
+        end, start = (
+            self._shifted(corner, self._direction(before, False)),
+            self._shifted(corner, self._direction(after, True)),
+        )
         met = [x for x in found if self._leads(before, x, end) and self._leads(after, start, x)]
         return min(met, key=lambda x: math.hypot(x[0] - corner[0], x[1] - corner[1]), default=None)
 

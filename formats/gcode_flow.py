@@ -1,9 +1,9 @@
 """The order in which the lines of a G-code program run: subs, branches and loops written with O-words.
 
-    o<name> sub ... o<name> return ... o<name> endsub         o<name> call [1] [2]: #1 and #2 in the sub
-    o1 if [...] / o1 elseif [...] / o1 else / o1 endif        o2 while [...] ... o2 endwhile
-    o3 do ... o3 while [...]                                  o4 repeat [n] ... o4 endrepeat
-    o2 break, o2 continue
+o<name> sub ... o<name> return ... o<name> endsub         o<name> call [1] [2]: #1 and #2 in the sub
+o1 if [...] / o1 elseif [...] / o1 else / o1 endif        o2 while [...] ... o2 endwhile
+o3 do ... o3 while [...]                                  o4 repeat [n] ... o4 endrepeat
+o2 break, o2 continue
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from .gcode_words import LineFault, Parameters, Reader, code_of
 
-STEPS = 300_000
+STEPS = 200_000
 """Lines that may run beyond those of the file, each once: a loop that never ends is found within seconds."""
 DEEPEST_CALL = 50
 DEEPEST_NEST = 50
@@ -111,7 +111,9 @@ class Program:
             line = self.lines[self._at]
             word = line.keyword
             if head is not None and line.label == head.label:
-                ends = ("elseif", "else", "endif") if head.keyword in ("if", "elseif", "else") else (_ENDS[head.keyword],)
+                ends = (
+                    ("elseif", "else", "endif") if head.keyword in ("if", "elseif", "else") else (_ENDS[head.keyword],)
+                )
                 if word in ends:
                     return found
             if word in ("sub", "if", "while", "do", "repeat"):
@@ -229,7 +231,9 @@ class Program:
         if self._steps < 0:
             raise ProgramFault(
                 line.number,
-                LineFault(f"the program runs more than {STEPS} lines in its loops", "write the path out, or end the loop"),
+                LineFault(
+                    f"the program runs more than {STEPS} lines in its loops", "write the path out, or end the loop"
+                ),
             )
 
     def _value(self, line: Line) -> float:

@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from ..units import conversion
 from .gcode_compensation import Compensation
 from .gcode_moves import PLANES, Move, Place
 from .gcode_words import LineFault, Parameters
 
 AXES = "xyzabc"
 ZERO: Place = (0.0,) * 6
-INCH = 25.4
-NEAR = {"in": 5e-4, "mm": 5e-4 * INCH, "": 5e-4}
-"""How far the two radii of an arc may differ; beyond it, by SPIRAL of the radius."""
+NEAR = 5e-4
+"""Inches that the two radii of an arc may differ; beyond it, by SPIRAL of the radius."""
 SPIRAL = 1e-3
 
 _GROUPS: dict[str, tuple[float, ...]] = {
@@ -54,14 +54,16 @@ _REFUSED: dict[float, tuple[str, str]] = {
 }
 _FLOW = {98: "calls a program of another file", 99: "goes back from a program", 70: "saves modes", 71: "saves modes",
          72: "restores modes", 73: "saves modes"}  # fmt: skip
-_LETTERS = "abcdefghijklmnpqrstxyz"
+_LETTERS = "abcdfhijklmnpqrstxyz"
 
 
 class Machine:
     """The state of the machine. `run` a line's words, take the moves; `finish` at the end of the program."""
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: Parameters, units: str = "mm") -> None:
+        """units : of the lengths before G20 or G21."""
         self.parameters = parameters
+        self._default = units
         self.position: Place = ZERO
         self._unnamed = frozenset(range(6))
         self.ended = False
@@ -177,10 +179,10 @@ class Machine:
             self._arc_incremental = codes["arc distance"] == 91.1
 
     def _change_unit(self, unit: str) -> None:
-        before, self.unit = self.unit, unit
-        if before in ("", unit):
+        factor = conversion(self.unit or self._default, unit)
+        self.unit = unit
+        if factor == 1.0:
             return
-        factor = INCH if unit == "mm" else 1.0 / INCH
 
         def turned(p: Place) -> Place:
             return p[0] * factor, p[1] * factor, p[2] * factor, p[3], p[4], p[5]
@@ -340,7 +342,9 @@ class Machine:
             centre = _centre_of_radius(start, end, given["r"], sign)
         else:
             if not any(letter in given for letter in letters):
-                raise LineFault("an arc without a centre or radius", f"write {' and '.join(letters).upper()}, or R")
+                raise LineFault(
+                    "an arc without a centre or radius", f"write {letters[0].upper()} and {letters[1].upper()}, or R"
+                )
             if not self._arc_incremental and not all(letter in given for letter in letters):
                 raise LineFault("an absolute centre (G90.1) needs both its numbers")
             base = start if self._arc_incremental else (0.0, 0.0)
@@ -349,7 +353,7 @@ class Machine:
             apart = abs(radii[1] - radii[0])
             if min(radii) <= 0.0:
                 raise LineFault("the arc has no radius")
-            if apart > NEAR[self.unit] and apart > SPIRAL * max(radii):
+            if apart > NEAR * conversion("in", self.unit or self._default) and apart > SPIRAL * max(radii):
                 raise LineFault(f"the arc begins {radii[0]:.6g} from its centre and ends {radii[1]:.6g} from it")
         turns = given.get("p", 1.0)
         if turns < 1 or turns != int(turns):
@@ -362,7 +366,9 @@ class Machine:
 
     def _feed_per_minute(self) -> float:
         if self._feed <= 0.0:
-            raise LineFault("the feed is not set", "write F" + (" in every line with G93" if self._feed_mode == 93 else ""))
+            raise LineFault(
+                "the feed is not set", "write F" + (" in every line with G93" if self._feed_mode == 93 else "")
+            )
         if self._feed_mode != 95:
             return self._feed
         if self._spindle <= 0.0:
@@ -386,7 +392,9 @@ def _table(code: float) -> int:
     return int(code) - 53 if code <= 59 else 6 + round((code - 59) * 10)
 
 
-def _centre_of_radius(start: tuple[float, float], end: tuple[float, float], radius: float, sign: int) -> tuple[float, float]:
+def _centre_of_radius(
+    start: tuple[float, float], end: tuple[float, float], radius: float, sign: int
+) -> tuple[float, float]:
     """The centre of an arc of that radius, the shorter way for a positive one; sign 1 is anticlockwise."""
     x, y = end[0] - start[0], end[1] - start[1]
     chord = math.hypot(x, y)

@@ -57,6 +57,11 @@ class PathRows:
         """Where the tool is now (3,)."""
         return self._at[-1]
 
+    @property
+    def rotation(self) -> Array:
+        """How the tool stands now (3, 3)."""
+        return self._rotation[-1]
+
     def begin(self, at: Array, rotation: Array) -> None:
         """The first row, at time 0."""
         self._append(0.0, at, rotation)
