@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 @click.option("--force", is_flag=True, help="Overwrite OUT if it exists.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def command(source: Path, target: Path, faces: tuple[str, ...], units: str | None, force: bool, quiet: bool) -> int:
-    """Write a CAD file IN as OUT, in the format of OUT's extension: .step .stp .igs .iges .3dm .json .geomdl.json
+    """Write a CAD file IN as OUT, in the format of OUT's extension: .step .stp .igs .iges .3dm .json
+    .geomdl.json .g2 .xml
 
     With --face only the surfaces of these faces are written.
 
@@ -48,7 +49,7 @@ def command(source: Path, target: Path, faces: tuple[str, ...], units: str | Non
         if faces:
             part = part_of_faces(part, chosen_faces(part, faces))
         if format == "geomdl":
-            write_geomdl(target, [in_file_units(part, face) for face in part.faces])
+            write_geomdl(target, registry.surfaces_in_file_units(part))
         else:
             registry.write_part(part, target, format)
     for line in part.warnings:

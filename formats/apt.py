@@ -28,7 +28,7 @@ from ..scene_tool import PathOptions
 from ..spec import one_line
 from ..units import conversion
 from .gcode_moves import arc_sweep
-from .gcode_words import LineFault
+from .gcode_words import LineError
 from .path_rows import RAPID_TURN, PathRows, ReadPath, arc_length, arc_points, turn_between
 from .path_text import text_of_file
 
@@ -106,7 +106,7 @@ def parse(text: str, where: str, units: str = "mm", options: PathOptions | None 
         if reader.own_units is None:
             reader.warn(f"names no unit (UNITS): its lengths are taken in {units}", 0)
         path = reader.rows.path(where)
-    except LineFault as fault:
+    except LineError as fault:
         mend = f" ({fault.mend})" if fault.mend else ""
         raise SceneError([f"{where}:{line}: {one_line(fault.what + mend)}"]) from None
     except InputError as error:
@@ -118,7 +118,7 @@ def parse(text: str, where: str, units: str = "mm", options: PathOptions | None 
 
 
 def statements(text: str) -> Iterator[tuple[int, str]]:
-    """Each statement with the number of its first line, comments and continuation marks taken out. Raises LineFault."""
+    """Each statement with the number of its first line, comments and continuation marks taken out. Raises LineError."""
     held, first = "", 0
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.split("$$", 1)[0].rstrip()
@@ -126,7 +126,7 @@ def statements(text: str) -> Iterator[tuple[int, str]]:
         if line.endswith("$"):
             held += line[:-1]
             if len(held) > LONGEST:
-                raise LineFault(f"a statement of more than {LONGEST} signs")
+                raise LineError(f"a statement of more than {LONGEST} signs")
             continue
         held += line
         if held.strip():
@@ -162,7 +162,7 @@ class _Reader:
         self.warnings.setdefault(text, line)
 
     def run(self, statement: str, line: int) -> None:
-        """One statement. Raises LineFault."""
+        """One statement. Raises LineError."""
         head, _, rest = statement.partition("/")
         word = head.split(",")[0].strip().upper()
         if word == "TOOL PATH":  # NX: TOOL PATH/NAME,TOOL,NAME
@@ -183,7 +183,7 @@ class _Reader:
         word = rest.split(",")[0].strip().upper()
         units = {"MM": "mm", "INCH": "in", "INCHES": "in", "CM": "cm", "M": "m", "FEET": "ft"}
         if word not in units:
-            raise LineFault(f'the unit "{word[:20]}" is not known', f"known are {', '.join(units)}")
+            raise LineError(f'the unit "{word[:20]}" is not known', f"known are {', '.join(units)}")
         self.own_units = units[word]
         self._factor = conversion(self.own_units, self._units)
 
@@ -196,9 +196,9 @@ class _Reader:
             if "RAPID" in words:
                 self._rapid = True
                 return
-            raise LineFault("FEDRAT without a number")
+            raise LineError("FEDRAT without a number")
         if values[0] <= 0.0:
-            raise LineFault(f"the feed is {values[0]:g}", "a positive number")
+            raise LineError(f"the feed is {values[0]:g}", "a positive number")
         unit = ""
         self._per_turn = False
         for name in words:
@@ -217,8 +217,8 @@ class _Reader:
         values, words = _numbers_and_words(rest)
         if len(values) != 3:
             if words:
-                raise LineFault(f"TLAXIS/{rest[:30]} is not read", "write the axis as three numbers")
-            raise LineFault("TLAXIS needs three numbers")
+                raise LineError(f"TLAXIS/{rest[:30]} is not read", "write the axis as three numbers")
+            raise LineError("TLAXIS needs three numbers")
         self._axis = _unit_vector(values, "the tool's axis")
 
     def _load_tool(self, rest: str, line: int) -> None:
@@ -239,7 +239,7 @@ class _Reader:
     def _placed_otherwise(self, rest: str, line: int) -> None:
         values, _ = _numbers_and_words(rest)
         if any(values):
-            raise LineFault("a statement that moves the coordinates is not read", "write the path in one system")
+            raise LineError("a statement that moves the coordinates is not read", "write the path in one system")
 
     def _end(self, rest: str, line: int) -> None:
         self.ended = True
@@ -248,7 +248,7 @@ class _Reader:
         values, words = _numbers_and_words(rest)
         if values and not words:
             if values[0] < 0.0:
-                raise LineFault("DELAY waits a negative time")
+                raise LineError("DELAY waits a negative time")
             self.rows.wait(values[0])
 
     def _begin_cycle(self, rest: str, line: int) -> None:
@@ -295,9 +295,9 @@ class _Reader:
     def _go_delta(self, rest: str, line: int) -> None:
         values, words = _numbers_and_words(rest)
         if len(values) not in (1, 3) or words:
-            raise LineFault("GODLTA needs a length along the tool, or three")
+            raise LineError("GODLTA needs a length along the tool, or three")
         if not self.rows.begun:
-            raise LineFault("GODLTA before any place is known", "write FROM or GOTO first")
+            raise LineError("GODLTA before any place is known", "write FROM or GOTO first")
         step = values[0] * self._axis if len(values) == 1 else np.array(values)
         self._go(self.rows.at + step * self._factor, self._axis)
 
@@ -305,7 +305,7 @@ class _Reader:
         """The place, scene's unit, and tool axis of a GOTO; the axis holds from now on."""
         values, words = _numbers_and_words(rest)
         if words or len(values) not in (3, 6):
-            raise LineFault(f"{word} needs 3 numbers, or 6 with the tool's axis, not {one_line(rest[:40])!r}")
+            raise LineError(f"{word} needs 3 numbers, or 6 with the tool's axis, not {one_line(rest[:40])!r}")
         if len(values) == 6:
             self._axis = _unit_vector(values[3:], "the tool's axis")
         return np.array(values[:3]) * self._factor, self._axis
@@ -332,7 +332,7 @@ class _Reader:
         last -= (last @ circle.axis) * circle.axis
         radii = float(np.linalg.norm(first)), float(np.linalg.norm(last))
         if min(radii) == 0.0 or abs(radii[1] - radii[0]) > 0.01 * max(radii):
-            raise LineFault(
+            raise LineError(
                 f"the circle's centre is {radii[0]:.6g} from where it begins and {radii[1]:.6g} from its end"
             )
         across = np.cross(circle.axis, first)
@@ -369,19 +369,19 @@ class _Reader:
     @staticmethod
     def _positive(value: float, what: str = "a move at a feed that is not set", mend: str = "write FEDRAT") -> float:
         if value <= 0.0:
-            raise LineFault(what, mend)
+            raise LineError(what, mend)
         return value
 
     def _begin_circle(self, rest: str, line: int) -> None:
-        values, words = _numbers_and_words(rest)
+        values, _ = _numbers_and_words(rest)
         if len(values) < 6:
-            raise LineFault("CIRCLE needs its centre and axis, six numbers")
+            raise LineError("CIRCLE needs its centre and axis, six numbers")
         self._circle = _Circle(np.array(values[:3]) * self._factor, _unit_vector(values[3:6], "the circle's axis"))
 
     def _direction(self, rest: str, line: int) -> None:
         values, _ = _numbers_and_words(rest)
         if len(values) != 3:
-            raise LineFault("INDIRV needs three numbers")
+            raise LineError("INDIRV needs three numbers")
         self._toward = _unit_vector(values, "the direction")
 
     def _forward(self, statement: str, line: int) -> None:
@@ -389,13 +389,13 @@ class _Reader:
         circle = re.search(r"CIRCLE\s*/([^)]*)\)", statement, re.IGNORECASE)
         ends = re.search(r"LINE\s*/([^)]*)\)", statement, re.IGNORECASE)
         if circle is None or ends is None:
-            raise LineFault("GOFWD is only read along a CIRCLE up to a LINE", "export circles as CIRCLE, or as points")
+            raise LineError("GOFWD is only read along a CIRCLE up to a LINE", "export circles as CIRCLE, or as points")
         centre, _ = _numbers_and_words(circle[1])
         through, _ = _numbers_and_words(ends[1])
         if len(centre) < 4 or len(through) != 6:
-            raise LineFault("GOFWD needs CIRCLE/x,y,z,r and LINE/x,y,z,x,y,z")
+            raise LineError("GOFWD needs CIRCLE/x,y,z,r and LINE/x,y,z,x,y,z")
         if self._toward is None or not self.rows.begun:
-            raise LineFault("GOFWD without a start and a direction", "write GOTO and INDIRV before it")
+            raise LineError("GOFWD without a start and a direction", "write GOTO and INDIRV before it")
         middle, end = np.array(centre[:3]) * self._factor, np.array(through[3:]) * self._factor
         axis = np.cross(self.rows.at - middle, self._toward)
         self._circle = _Circle(middle, _unit_vector(axis.tolist(), "the circle's axis"))
@@ -436,14 +436,14 @@ _STATEMENTS: dict[str, Callable[[_Reader, str, int], None]] = {
 
 
 def _numbers_and_words(rest: str) -> tuple[list[float], list[str]]:
-    """What stands behind a slash: the numbers, and the other fields in capitals. Raises LineFault for no finite number."""
+    """What stands behind a slash: the numbers, and the other fields in capitals. Raises LineError for no finite number."""
     values: list[float] = []
     words: list[str] = []
     for field in (field.strip() for field in rest.split(",")):
         if _NUMBER.fullmatch(field):
             values.append(float(field.upper().replace("D", "E")))
             if not math.isfinite(values[-1]):
-                raise LineFault(f"{field} is not a finite number")
+                raise LineError(f"{field} is not a finite number")
         elif field:
             words.append(field.upper())
     return values, words
@@ -461,5 +461,5 @@ def _unit_vector(values: list[float], what: str) -> Array:
     vector = np.array(values, dtype=np.float64)
     length = float(np.linalg.norm(vector))
     if not (length > 1e-9 and math.isfinite(length)):
-        raise LineFault(f"{what} has no length")
+        raise LineError(f"{what} has no length")
     return vector / length

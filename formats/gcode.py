@@ -23,10 +23,10 @@ from ..motion.path import ToolPath
 from ..scene_tool import PathOptions
 from ..spec import one_line
 from ..units import conversion
-from .gcode_flow import Program, ProgramFault
+from .gcode_flow import Program, ProgramError
 from .gcode_machine import Machine
 from .gcode_moves import PLANES, Move
-from .gcode_words import LineFault, words_of
+from .gcode_words import LineError, words_of
 from .machine_axes import MachineAxes
 from .path_rows import RAPID_TURN, PathRows, ReadPath, arc_length, arc_points
 from .path_text import text_of_file
@@ -73,21 +73,21 @@ def canonical_moves(
             if machine.ended:
                 break
             if len(moves) > MOST_MOVES:
-                raise LineFault(f"the program makes more than {MOST_MOVES} moves")
+                raise LineError(f"the program makes more than {MOST_MOVES} moves")
         moves += machine.finish()
-    except ProgramFault as error:
+    except ProgramError as error:
         raise _fault(where, error.number, error.fault) from None
-    except LineFault as fault:
+    except LineError as fault:
         raise _fault(where, number, fault) from None
     except RecursionError:
-        raise _fault(where, number, LineFault("subs and loops stand too deep in each other")) from None
+        raise _fault(where, number, LineError("subs and loops stand too deep in each other")) from None
     warnings = [f"line {line}: {what}" for what, line in machine.warnings.items()]
     if not (machine.ended or program.ended):
         warnings.append("ends without M2, M30 or %: it may have been cut off")
     return moves, warnings
 
 
-def _fault(where: str, number: int, fault: LineFault) -> SceneError:
+def _fault(where: str, number: int, fault: LineError) -> SceneError:
     mend = f" ({fault.mend})" if fault.mend else ""
     return SceneError([f"{where}:{number}: {one_line(fault.what + mend)}"])
 
@@ -124,12 +124,12 @@ def _path(moves: Sequence[Move], where: str, units: str, options: PathOptions) -
             for place in places:
                 rows.move(*_pose(place, axes), seconds)
         return rows.path(where)
-    except LineFault as fault:
+    except LineError as fault:
         raise _fault(where, line, fault) from None
     except InputError as error:
         if error.where:
             raise
-        raise _fault(where, line, LineFault(error.what, error.mend)) from None
+        raise _fault(where, line, LineError(error.what, error.mend)) from None
 
 
 def _from_somewhere(moves: Sequence[Move]) -> list[Move]:
@@ -142,8 +142,8 @@ def _from_somewhere(moves: Sequence[Move]) -> list[Move]:
     changed: list[Move] = []
     for move in reversed(lead):
         first |= {i: move.end[i] for i in range(6) if i not in move.unnamed}
-        end = [first.get(i, move.end[i]) if i in move.unnamed else move.end[i] for i in range(6)]
-        changed.append(replace(move, end=tuple(end)))
+        x, y, z, a, b, c = (first.get(i, move.end[i]) if i in move.unnamed else move.end[i] for i in range(6))
+        changed.append(replace(move, end=(x, y, z, a, b, c)))
     changed.reverse()
     for i in range(1, len(changed)):
         changed[i] = replace(changed[i], start=changed[i - 1].end)
@@ -155,12 +155,12 @@ def _check_axes(move: Move, axes: MachineAxes | None) -> None:
         if not (move.start[i] + move.offset[i] or move.end[i] + move.offset[i]):
             continue
         if axes is None:
-            raise LineFault(
+            raise LineError(
                 f"the axis {name} turns, and no kinematics is given",
                 'write path_options = { kinematics = "xyzac-trt" } or the machine\'s own: xyzbc-trt, xyzac-head, xyzbc-head',
             )
         if not axes.allows(i):
-            raise LineFault(f"the axis {name} turns, which the kinematics does not have", "choose another kinematics")
+            raise LineError(f"the axis {name} turns, which the kinematics does not have", "choose another kinematics")
 
 
 def _placed(place: Sequence[float], move: Move, factor: float) -> Array:
@@ -203,7 +203,7 @@ def _turning(start: Array, places: list[Array], pieces: int) -> list[Array]:
     """The places with so many more in between that rotary axes turn in pieces."""
     each = math.ceil(pieces / len(places))
     if each * len(places) > MOST_MOVES:
-        raise LineFault(f"the move turns in more than {MOST_MOVES} pieces", "use a larger tolerance")
+        raise LineError(f"the move turns in more than {MOST_MOVES} pieces", "use a larger tolerance")
     found: list[Array] = []
     for place in places:
         found += [start + k / each * (place - start) for k in range(1, each)]

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from .gcode_moves import PLANES, Move, Place, arc_sweep
-from .gcode_words import LineFault
+from .gcode_words import LineError
 
 TANGENT = 0.01
 """rad; moves that meet at less than this meet smoothly."""
@@ -35,7 +35,7 @@ class Compensation:
         self._waiting: list[Move] = []  # moves across the plane behind it, and dwells
 
     def add(self, move: Move) -> Iterator[Move]:
-        """The shifted moves that are known now that `move` has come. Raises LineFault where the cutter does not fit."""
+        """The shifted moves that are known now that `move` has come. Raises LineError where the cutter does not fit."""
         if move.kind == "dwell" or (move.kind != "arc" and self._point(move.start) == self._point(move.end)):
             if self._move is None:
                 yield move
@@ -43,10 +43,10 @@ class Compensation:
                 self._waiting.append(move)
             return
         if move.kind == "arc" and move.plane != self.plane:
-            raise LineFault("an arc in another plane than its cutter compensation")
+            raise LineError("an arc in another plane than its cutter compensation")
         if self._move is None:
             if move.kind == "arc":
-                raise LineFault("an arc begins the cutter compensation", "enter on a straight move")
+                raise LineError("an arc begins the cutter compensation", "enter on a straight move")
             self._move, self._start = move, self._point(move.start)
             return
         before = self._move
@@ -59,7 +59,7 @@ class Compensation:
         if angle > TANGENT or abs(abs(angle) - math.pi) < 1e-6:
             crossing = self._crossing(before, move, corner)
             if crossing is None and abs(angle) < math.pi - 1e-6:
-                raise LineFault("the cutter does not fit into the corner before this move", "take a smaller one")
+                raise LineError("the cutter does not fit into the corner before this move", "take a smaller one")
         if crossing is not None:
             yield from self._emit(crossing)
             self._start = crossing
@@ -95,7 +95,7 @@ class Compensation:
         )
         limit = programmed + 0.5 * math.pi if move.kind == "arc" else math.inf  # an arc that goes round has turned back
         if not (0.0 < made < limit) and not (self._entry and made != 0.0):
-            raise LineFault("the cutter does not fit between this move's neighbours", "take a smaller one")
+            raise LineError("the cutter does not fit between this move's neighbours", "take a smaller one")
         if move.kind == "arc":
             self._radius(move)
         yield shifted
@@ -109,21 +109,21 @@ class Compensation:
         if move.kind != "arc":
             way = self._direction(move, True)
             return (end[0] - start[0]) * way[0] + (end[1] - start[1]) * way[1]
-        angles = [math.atan2(p[1] - move.centre[1], p[0] - move.centre[0]) for p in (start, end)]
-        return abs(arc_sweep(*angles, move.turns))
+        first, last = (math.atan2(p[1] - move.centre[1], p[0] - move.centre[0]) for p in (start, end))
+        return abs(arc_sweep(first, last, move.turns))
 
     def _radius(self, move: Move) -> float:
-        """Of a move's shifted arc. Raises LineFault where nothing is left of it."""
+        """Of a move's shifted arc. Raises LineError where nothing is left of it."""
         x, y = self._point(move.end)
         radius = math.hypot(x - move.centre[0], y - move.centre[1])
         radius -= self.shift if move.turns > 0 else -self.shift
         if radius <= 0.0:
-            raise LineFault("the cutter is larger than the arc that it runs inside", "take a smaller one")
+            raise LineError("the cutter is larger than the arc that it runs inside", "take a smaller one")
         return radius
 
     def _crossing(self, before: Move, after: Move, corner: Point) -> Point | None:
         """Where the shifted curves of two moves cross, nearest to the corner: before the first ends and the second begins."""
-        curves = []
+        curves: list[tuple[Point, float | None]] = []
         for move in (before, after):
             if move.kind == "arc":
                 curves.append((move.centre, self._radius(move)))

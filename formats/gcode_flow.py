@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from .gcode_words import LineFault, Parameters, Reader, code_of
+from .gcode_words import LineError, Parameters, Reader, code_of
 
 STEPS = 200_000
 """Lines that may run beyond those of the file, each once: a loop that never ends is found within seconds."""
@@ -43,16 +43,16 @@ class Nest:
     parts: list[tuple[Line, list[Line | Nest]]] = field(default_factory=list)
 
 
-class ProgramFault(Exception):
-    """A LineFault with the number of its line."""
+class ProgramError(Exception):
+    """A LineError with the number of its line."""
 
-    def __init__(self, number: int, fault: LineFault) -> None:
+    def __init__(self, number: int, fault: LineError) -> None:
         super().__init__(fault.what)
         self.number = number
         self.fault = fault
 
 
-class _Leave(Exception):
+class _LeaveError(Exception):
     """return, break or continue on its way to where it belongs."""
 
     def __init__(self, line: Line) -> None:
@@ -63,7 +63,7 @@ class Program:
     """A program's lines, nested by their O-words, and the parameters that they share with whoever runs it.
 
     ended : whether the file has the end that a program has, a second % (M2 and M30 are the machine's to see).
-    Raises ProgramFault for O-words that do not match.
+    Raises ProgramError for O-words that do not match.
     """
 
     def __init__(self, text: str, block_delete: bool = False) -> None:
@@ -77,10 +77,10 @@ class Program:
         self.main = self._nested(None, 0)
 
     def run(self) -> Iterator[Line]:
-        """The lines without O-words, in the order in which they run. Raises ProgramFault."""
+        """The lines without O-words, in the order in which they run. Raises ProgramError."""
         try:
             yield from self._run(self.main)
-        except _Leave as leave:
+        except _LeaveError as leave:
             if leave.line.keyword != "return":  # a return outside any sub ends the program
                 raise _no_loop(leave.line) from None
 
@@ -98,8 +98,8 @@ class Program:
                 continue
             try:
                 line = _line(number, code_of(raw), block_delete)
-            except LineFault as fault:
-                raise ProgramFault(number, fault) from None
+            except LineError as fault:
+                raise ProgramError(number, fault) from None
             if line is not None:
                 lines.append(line)
         return lines
@@ -118,22 +118,22 @@ class Program:
                     return found
             if word in ("sub", "if", "while", "do", "repeat"):
                 if depth >= DEEPEST_NEST:
-                    raise ProgramFault(line.number, LineFault(f"more than {DEEPEST_NEST} O-words in each other"))
+                    raise ProgramError(line.number, LineError(f"more than {DEEPEST_NEST} O-words in each other"))
                 nest = self._nest(line, depth + 1)
                 if word == "sub":
                     if line.label in self.subs:
-                        raise ProgramFault(line.number, LineFault(f"the sub {line.label} stands twice"))
+                        raise ProgramError(line.number, LineError(f"the sub {line.label} stands twice"))
                     self.subs[line.label] = nest
                 else:
                     found.append(nest)
                 continue
             if word.startswith("end") or word in ("elseif", "else"):
-                raise ProgramFault(line.number, LineFault(f"{line.label} {word} ends nothing that has begun"))
+                raise ProgramError(line.number, LineError(f"{line.label} {word} ends nothing that has begun"))
             found.append(line)
             self._at += 1
         if head is not None:
             end = _ENDS.get(head.keyword, "endif")
-            raise ProgramFault(head.number, LineFault(f"{head.label} {head.keyword} has no {end}"))
+            raise ProgramError(head.number, LineError(f"{head.label} {head.keyword} has no {end}"))
         return found
 
     def _nest(self, head: Line, depth: int) -> Nest:
@@ -143,7 +143,7 @@ class Program:
             nest.parts.append((part, self._nested(part, depth)))
             end = self.lines[self._at]
             if part.keyword == "else" and end.keyword != "endif":
-                raise ProgramFault(end.number, LineFault(f"{end.label} {end.keyword} behind its else"))
+                raise ProgramError(end.number, LineError(f"{end.label} {end.keyword} behind its else"))
             if end.keyword not in ("elseif", "else"):
                 break
             part = end
@@ -162,7 +162,7 @@ class Program:
                 self._step(line)
                 yield from self._call(line)
             elif line.keyword:
-                raise _Leave(line)
+                raise _LeaveError(line)
             else:
                 self._step(line)
                 yield line
@@ -186,7 +186,7 @@ class Program:
             self._step(head)
             try:
                 yield from self._run(lines)
-            except _Leave as leave:
+            except _LeaveError as leave:
                 if leave.line.label != head.label or leave.line.keyword == "return":
                     raise
                 if leave.line.keyword == "break":
@@ -197,14 +197,14 @@ class Program:
     def _call(self, line: Line) -> Iterator[Line]:
         sub = self.subs.get(line.label)
         if sub is None:
-            raise ProgramFault(
-                line.number, LineFault(f"there is no sub {line.label} in this file", "put the sub into the same file")
+            raise ProgramError(
+                line.number, LineError(f"there is no sub {line.label} in this file", "put the sub into the same file")
             )
         values = self._values(line, line.code)
         if len(values) > ARGUMENTS:
-            raise ProgramFault(line.number, LineFault(f"{len(values)} values for a sub, which takes {ARGUMENTS}"))
+            raise ProgramError(line.number, LineError(f"{len(values)} values for a sub, which takes {ARGUMENTS}"))
         if self._calls >= DEEPEST_CALL:
-            raise ProgramFault(line.number, LineFault(f"more than {DEEPEST_CALL} calls in each other"))
+            raise ProgramError(line.number, LineError(f"more than {DEEPEST_CALL} calls in each other"))
         own = self.parameters.local, [self.parameters.numbered.get(i) for i in range(1, ARGUMENTS + 1)]
         self.parameters.local = {}
         for i in range(1, ARGUMENTS + 1):
@@ -212,7 +212,7 @@ class Program:
         self._calls += 1
         try:
             yield from self._run(sub.parts[0][1])
-        except _Leave as leave:
+        except _LeaveError as leave:
             if leave.line.keyword != "return":
                 raise _no_loop(leave.line) from None
             if leave.line.code:
@@ -229,9 +229,9 @@ class Program:
     def _step(self, line: Line) -> None:
         self._steps -= 1
         if self._steps < 0:
-            raise ProgramFault(
+            raise ProgramError(
                 line.number,
-                LineFault(
+                LineError(
                     f"the program runs more than {STEPS} lines in its loops", "write the path out, or end the loop"
                 ),
             )
@@ -239,7 +239,7 @@ class Program:
     def _value(self, line: Line) -> float:
         values = self._values(line, line.code)
         if len(values) != 1:
-            raise ProgramFault(line.number, LineFault(f"{line.label} {line.keyword} needs one value in brackets"))
+            raise ProgramError(line.number, LineError(f"{line.label} {line.keyword} needs one value in brackets"))
         return values[0]
 
     def _values(self, line: Line, code: str) -> list[float]:
@@ -248,17 +248,17 @@ class Program:
             while not reader.done:
                 reader.need("[")
                 values.append(reader.expression())
-        except LineFault as fault:
-            raise ProgramFault(line.number, fault) from None
+        except LineError as fault:
+            raise ProgramError(line.number, fault) from None
         return values
 
 
-def _no_loop(line: Line) -> ProgramFault:
-    return ProgramFault(line.number, LineFault(f"{line.label} {line.keyword} leaves no loop"))
+def _no_loop(line: Line) -> ProgramError:
+    return ProgramError(line.number, LineError(f"{line.label} {line.keyword} leaves no loop"))
 
 
 def _line(number: int, code: str, block_delete: bool) -> Line | None:
-    """The line of a code; None where there is nothing to do. Raises LineFault for an O-word that is none."""
+    """The line of a code; None where there is nothing to do. Raises LineError for an O-word that is none."""
     if code.startswith("/"):
         if block_delete:
             return None
@@ -273,16 +273,16 @@ def _line(number: int, code: str, block_delete: bool) -> Line | None:
     if rest.startswith("<"):
         name, closed, rest = rest[1:].partition(">")
         if not closed:
-            raise LineFault("the name of an O-word does not end", "close it with >")
+            raise LineError("the name of an O-word does not end", "close it with >")
         label = f"o<{name}>"
     else:
         digits = rest[: len(rest) - len(rest.lstrip("0123456789"))]
         if not digits:
-            raise LineFault("an O-word needs a number or a <name>")
+            raise LineError("an O-word needs a number or a <name>")
         label, rest = f"o{int(digits)}", rest[len(digits) :]
         if not rest:
             return None  # the number of a program
     keyword = max((word for word in _KEYWORDS if rest.startswith(word)), key=len, default="")
     if not keyword:
-        raise LineFault(f'the O-word "{rest[:12]}" is not known', f"known are {', '.join(_KEYWORDS)}")
+        raise LineError(f'the O-word "{rest[:12]}" is not known', f"known are {', '.join(_KEYWORDS)}")
     return Line(number, rest[len(keyword) :], label, keyword)

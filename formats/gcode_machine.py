@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from ..units import conversion
 from .gcode_compensation import Compensation
 from .gcode_moves import PLANES, Move, Place
-from .gcode_words import LineFault, Parameters
+from .gcode_words import LineError, Parameters
 
 AXES = "xyzabc"
 ZERO: Place = (0.0,) * 6
@@ -52,8 +52,14 @@ _REFUSED: dict[float, tuple[str, str]] = {
     **{38.0 + k / 10: ("probing", "leave it out") for k in (2, 3, 4, 5)},
     **{float(k): ("a canned cycle", "write its moves out") for k in (*range(70, 80), *range(81, 90))},
 }
-_FLOW = {98: "calls a program of another file", 99: "goes back from a program", 70: "saves modes", 71: "saves modes",
-         72: "restores modes", 73: "saves modes"}  # fmt: skip
+_FLOW: dict[float, str] = {
+    98: "calls a program of another file",
+    99: "goes back from a program",
+    70: "saves modes",
+    71: "saves modes",
+    72: "restores modes",
+    73: "saves modes",
+}
 _LETTERS = "abcdfhijklmnpqrstxyz"
 
 
@@ -85,7 +91,7 @@ class Machine:
         self._tools: set[float] = set()
 
     def run(self, words: list[tuple[str, float]], line: int) -> Iterator[Move]:
-        """The moves of one line. Raises LineFault for what cannot be done."""
+        """The moves of one line. Raises LineError for what cannot be done."""
         given: dict[str, float] = {}
         codes: dict[str, float] = {}
         ends = False
@@ -94,18 +100,18 @@ class Machine:
                 code = round(value, 4)
                 group = self._group(code)
                 if group in codes:
-                    raise LineFault(f"G{codes[group]:g} and G{code:g} in one line")
+                    raise LineError(f"G{codes[group]:g} and G{code:g} in one line")
                 codes[group] = code
             elif letter == "m":
                 ends |= self._miscellaneous(value, line)
             elif letter in given:
-                raise LineFault(f"the word {letter.upper()} stands twice in one line")
+                raise LineError(f"the word {letter.upper()} stands twice in one line")
             elif letter in "uvw":
-                raise LineFault(f"the axis {letter.upper()} is not known", "the axes are X, Y, Z, A, B, C")
+                raise LineError(f"the axis {letter.upper()} is not known", "the axes are X, Y, Z, A, B, C")
             elif letter in _LETTERS:
                 given[letter] = value
             else:
-                raise LineFault(f"the word {letter.upper()} is not known")
+                raise LineError(f"the word {letter.upper()} is not known")
         yield from self._settings(given, codes, line)
         yield from self._motions(given, codes, line)
         if ends:
@@ -129,14 +135,14 @@ class Machine:
             return _GROUP[code]
         if code in _REFUSED:
             what, mend = _REFUSED[code]
-            raise LineFault(f"G{code:g} is not read: {what}", mend)
-        raise LineFault(f"G{code:g} is not known")
+            raise LineError(f"G{code:g} is not read: {what}", mend)
+        raise LineError(f"G{code:g} is not known")
 
     def _miscellaneous(self, value: float, line: int) -> bool:
         """An M word; True when it ends the program."""
         code = round(value, 4)
         if code in _FLOW:
-            raise LineFault(f"M{code:g} is not read: it {_FLOW[code]}", "write the moves out, or use O-words")
+            raise LineError(f"M{code:g} is not read: it {_FLOW[code]}", "write the moves out, or use O-words")
         if 100 <= code <= 199 or code > 199:
             self.warn(f"M{code:g} is the machine's own and passed over", line)
         return code in (2, 30)
@@ -149,7 +155,7 @@ class Machine:
             self._feed_mode = mode
         if "f" in given:
             if given["f"] < 0.0:
-                raise LineFault(f"the feed F{given['f']:g} is negative")
+                raise LineError(f"the feed F{given['f']:g} is negative")
             self._feed = given["f"]
         elif self._feed_mode == 93:
             self._feed = 0.0  # G93 says it anew for every move
@@ -162,11 +168,11 @@ class Machine:
         if codes.get("once") == 4:
             seconds = given.get("p", given.get("x", 0.0))
             if seconds < 0.0:
-                raise LineFault("G4 waits a negative time")
+                raise LineError("G4 waits a negative time")
             yield from self._send(Move("dwell", line, self.unit, self.position, self.position, seconds=seconds))
         if "plane" in codes and codes["plane"] != self._plane:
             if self._compensation is not None:
-                raise LineFault("the plane changes under cutter compensation", "write G40 before it")
+                raise LineError("the plane changes under cutter compensation", "write G40 before it")
             self._plane = int(codes["plane"])
         if "unit" in codes:
             self._change_unit("in" if codes["unit"] == 20 else "mm")
@@ -188,7 +194,7 @@ class Machine:
             return p[0] * factor, p[1] * factor, p[2] * factor, p[3], p[4], p[5]
 
         if self._compensation is not None:
-            raise LineFault("the unit changes under cutter compensation", "write G40 before it")
+            raise LineError("the unit changes under cutter compensation", "write G40 before it")
         self.position, self._g92, self._g92_kept = turned(self.position), turned(self._g92), turned(self._g92_kept)
         self._tables = {number: turned(table) for number, table in self._tables.items()}
 
@@ -198,7 +204,7 @@ class Machine:
             return
         if self._compensation is not None:
             if code != 40:
-                raise LineFault("cutter compensation begins twice", "write G40 before it")
+                raise LineError("cutter compensation begins twice", "write G40 before it")
             yield from self._compensation.flush()
             if self._compensation.place is not None:
                 self.position = self._compensation.place
@@ -206,9 +212,9 @@ class Machine:
         if code == 40:
             return
         if "d" not in given:
-            raise LineFault(f"G{code:g} has no diameter", "write it as D")
+            raise LineError(f"G{code:g} has no diameter", "write it as D")
         if self._plane == 19:
-            raise LineFault("cutter compensation in the YZ plane")
+            raise LineError("cutter compensation in the YZ plane")
         side = 1 if code == 41.1 else -1
         if given["d"] != 0.0:
             side = side if given["d"] > 0.0 else -side
@@ -226,7 +232,7 @@ class Machine:
         if code != 54 and _table(code) not in self._tables:
             self.warn(f"G{code:g} has no offset in this file and is taken as G54's place", line)
         if code != self._coordinates and self._compensation is not None:
-            raise LineFault("the coordinates change under cutter compensation", "write G40 before it")
+            raise LineError("the coordinates change under cutter compensation", "write G40 before it")
         before = self.offset
         self._coordinates = code
         self._moved_offset(before)
@@ -240,12 +246,12 @@ class Machine:
     def _set_table(self, given: dict[str, float]) -> None:
         kind = given.get("l", 0.0)
         if kind not in (2, 20):
-            raise LineFault(f"G10 L{kind:g} is not read: it changes a tool table", "leave it out")
+            raise LineError(f"G10 L{kind:g} is not read: it changes a tool table", "leave it out")
         if given.get("r", 0.0):
-            raise LineFault("G10 with R turns the coordinates", "write the moves out")
+            raise LineError("G10 with R turns the coordinates", "write the moves out")
         number = int(given.get("p", 0.0)) or _table(self._coordinates)
         if not 1 <= number <= 9:
-            raise LineFault(f"G10 P{number}: there are coordinate systems 1 to 9")
+            raise LineError(f"G10 P{number}: there are coordinate systems 1 to 9")
         before = self.offset
         table = list(self._tables.get(number, ZERO))
         for i, axis in enumerate(AXES):
@@ -260,7 +266,7 @@ class Machine:
         before = self.offset
         if code == 92:
             if not any(axis in given for axis in AXES):
-                raise LineFault("G92 names no axis")
+                raise LineError("G92 names no axis")
             rows = enumerate(zip(self._g92, self.position, strict=True))
             shifted = [g + p - given[AXES[i]] if AXES[i] in given else g for i, (g, p) in rows]
             self._g92 = self._g92_kept = tuple(shifted)  # type: ignore[assignment]
@@ -280,7 +286,7 @@ class Machine:
             self._motion = codes["motion"]
         if once in (10, 92, 92.1, 92.2, 92.3):
             if self._compensation is not None:
-                raise LineFault(f"G{once:g} under cutter compensation", "write G40 before it")
+                raise LineError(f"G{once:g} under cutter compensation", "write G40 before it")
             if once == 10:
                 self._set_table(given)
             else:
@@ -298,11 +304,11 @@ class Machine:
         if not axes and not (arc and any(letter in given for letter in "ijkr")):
             return
         if self._motion == 80:
-            raise LineFault("an axis moves, but no motion is chosen", "write G0, G1, G2 or G3")
+            raise LineError("an axis moves, but no motion is chosen", "write G0, G1, G2 or G3")
         target = self._target(given, machine=once == 53)
         if arc:
             if once == 53:
-                raise LineFault("G53 with an arc", "use G0 or G1")
+                raise LineError("G53 with an arc", "use G0 or G1")
             yield from self._arc(given, target, line)
         else:
             yield from self._straight("traverse" if self._motion == 0 else "feed", target, line)
@@ -335,29 +341,29 @@ class Machine:
         end = (target[first], target[second])
         sign = -1 if self._motion == 2 else 1
         if across in given:
-            raise LineFault(f"{across.upper()} is no centre in the plane G{self._plane}")
+            raise LineError(f"{across.upper()} is no centre in the plane G{self._plane}")
         if "r" in given:
             if any(letter in given for letter in letters):
-                raise LineFault("an arc with a radius R and a centre")
+                raise LineError("an arc with a radius R and a centre")
             centre = _centre_of_radius(start, end, given["r"], sign)
         else:
             if not any(letter in given for letter in letters):
-                raise LineFault(
+                raise LineError(
                     "an arc without a centre or radius", f"write {letters[0].upper()} and {letters[1].upper()}, or R"
                 )
             if not self._arc_incremental and not all(letter in given for letter in letters):
-                raise LineFault("an absolute centre (G90.1) needs both its numbers")
+                raise LineError("an absolute centre (G90.1) needs both its numbers")
             base = start if self._arc_incremental else (0.0, 0.0)
             centre = (base[0] + given.get(letters[0], 0.0), base[1] + given.get(letters[1], 0.0))
             radii = [math.hypot(p[0] - centre[0], p[1] - centre[1]) for p in (start, end)]
             apart = abs(radii[1] - radii[0])
             if min(radii) <= 0.0:
-                raise LineFault("the arc has no radius")
+                raise LineError("the arc has no radius")
             if apart > NEAR * conversion("in", self.unit or self._default) and apart > SPIRAL * max(radii):
-                raise LineFault(f"the arc begins {radii[0]:.6g} from its centre and ends {radii[1]:.6g} from it")
+                raise LineError(f"the arc begins {radii[0]:.6g} from its centre and ends {radii[1]:.6g} from it")
         turns = given.get("p", 1.0)
         if turns < 1 or turns != int(turns):
-            raise LineFault(f"an arc of P{turns:g} turns", "write a whole number from 1 on")
+            raise LineError(f"an arc of P{turns:g} turns", "write a whole number from 1 on")
         move = Move(
             "arc", line, self.unit, self.position, target, self.offset, plane=self._plane, centre=centre,
             turns=sign * int(turns), feed=self._feed_per_minute(), inverse=self._feed_mode == 93,
@@ -366,19 +372,19 @@ class Machine:
 
     def _feed_per_minute(self) -> float:
         if self._feed <= 0.0:
-            raise LineFault(
+            raise LineError(
                 "the feed is not set", "write F" + (" in every line with G93" if self._feed_mode == 93 else "")
             )
         if self._feed_mode != 95:
             return self._feed
         if self._spindle <= 0.0:
-            raise LineFault("a feed per revolution (G95) and no spindle speed", "write S")
+            raise LineError("a feed per revolution (G95) and no spindle speed", "write S")
         return self._feed * self._spindle
 
     def _send(self, move: Move) -> Iterator[Move]:
         self.position = move.end
         if not all(map(math.isfinite, move.end)):
-            raise LineFault("a place is not finite")
+            raise LineError("a place is not finite")
         for i, value in enumerate(move.end):
             self.parameters.numbered[5420 + i] = value
         if self._compensation is None:
@@ -399,10 +405,10 @@ def _centre_of_radius(
     x, y = end[0] - start[0], end[1] - start[1]
     chord = math.hypot(x, y)
     if chord == 0.0:
-        raise LineFault("an arc with R ends where it begins", "write a whole circle with its centre")
+        raise LineError("an arc with R ends where it begins", "write a whole circle with its centre")
     half = 0.5 * chord
     if radius == 0.0 or half > abs(radius) * (1.0 + SPIRAL):
-        raise LineFault(f"an arc of radius {radius:g} cannot reach over {chord:.6g}")
+        raise LineError(f"an arc of radius {radius:g} cannot reach over {chord:.6g}")
     height = math.sqrt(max(0.0, radius * radius - half * half))
     side = sign * math.copysign(height, radius) / chord
     return start[0] + 0.5 * x - side * y, start[1] + 0.5 * y + side * x

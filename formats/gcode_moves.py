@@ -42,9 +42,8 @@ class Move:
     def sweep(self) -> float:
         """The angle of an arc, rad, anticlockwise positive; a whole turn where it ends at its start."""
         first, second, _ = PLANES[self.plane]
-        ends = (self.start, self.end)
-        angles = [math.atan2(p[second] - self.centre[1], p[first] - self.centre[0]) for p in ends]
-        return arc_sweep(*angles, self.turns)
+        begin, end = (math.atan2(p[second] - self.centre[1], p[first] - self.centre[0]) for p in (self.start, self.end))
+        return arc_sweep(begin, end, self.turns)
 
     def canonical(self) -> str:
         """The call of the canonical machine, numbers with four decimals."""

@@ -22,7 +22,7 @@ _PLAIN = re.compile(r"(?:[a-z][+-]?(?:\d+\.?\d*|\.\d+))*")
 _WORD = re.compile(r"([a-z])([+-]?(?:\d+\.?\d*|\.\d+))")
 
 
-class LineFault(Exception):
+class LineError(Exception):
     """What is wrong in one line, and the mend; whoever knows the line names it."""
 
     def __init__(self, what: str, mend: str = "") -> None:
@@ -40,12 +40,12 @@ class Parameters:
     shared: dict[str, float] = field(default_factory=dict)
 
     def get(self, key: int | str) -> float:
-        """The value of a parameter. Raises LineFault for a name that was never set."""
+        """The value of a parameter. Raises LineError for a name that was never set."""
         if isinstance(key, int):
             return self.numbered.get(key, 0.0)
         found = (self.shared if key.startswith("_") else self.local).get(key)
         if found is None:
-            raise LineFault(f"the parameter #<{key}> is used before it is set")
+            raise LineError(f"the parameter #<{key}> is used before it is set")
         return found
 
     def has(self, key: int | str) -> bool:
@@ -53,13 +53,13 @@ class Parameters:
         return key in (self.numbered if isinstance(key, int) else self.shared | self.local)
 
     def set(self, key: int | str, value: float) -> None:
-        """Raises LineFault for numbers that no parameter has."""
+        """Raises LineError for numbers that no parameter has."""
         if isinstance(key, str):
             (self.shared if key.startswith("_") else self.local)[key] = value
         elif 1 <= key <= 5602:
             self.numbered[key] = value
         else:
-            raise LineFault(f"there is no parameter #{key}", "parameters run from #1 to #5602")
+            raise LineError(f"there is no parameter #{key}", "parameters run from #1 to #5602")
 
 
 def code_of(text: str) -> str:
@@ -71,11 +71,11 @@ def code_of(text: str) -> str:
             if sign == ";":
                 break
             if sign == ")":
-                raise LineFault("a ) closes no comment")
+                raise LineError("a ) closes no comment")
             if sign == "(":
                 end = text.find(")", at)
                 if end < 0:
-                    raise LineFault("the comment does not end", "close it with )")
+                    raise LineError("the comment does not end", "close it with )")
                 at = end
             else:
                 kept.append(sign)
@@ -87,7 +87,7 @@ def code_of(text: str) -> str:
 def words_of(code: str, parameters: Parameters) -> list[tuple[str, float]]:
     """The words of a line, letters with their values; assignments are done once all of it has been read.
 
-    Raises LineFault for what is none.
+    Raises LineError for what is none.
     """
     if _PLAIN.fullmatch(code):
         return [(letter, float(number)) for letter, number in _WORD.findall(code)]
@@ -128,12 +128,12 @@ class Reader:
 
     def need(self, text: str) -> None:
         if not self.take(text):
-            raise LineFault(f"{text} is missing {self._before()}")
+            raise LineError(f"{text} is missing {self._before()}")
 
     def letter(self) -> str:
         sign = self.code[self.at]
         if not ("a" <= sign <= "z"):
-            raise LineFault(f"no word begins with {sign!r} {self._before()}")
+            raise LineError(f"no word begins with {sign!r} {self._before()}")
         self.at += 1
         return sign
 
@@ -142,23 +142,23 @@ class Reader:
         if self.take("<"):
             end = self.code.find(">", self.at)
             if end < 0:
-                raise LineFault("the name of a parameter does not end", "close it with >")
+                raise LineError("the name of a parameter does not end", "close it with >")
             name, self.at = self.code[self.at : end], end + 1
             return name
         number = self.value()
         if abs(number - round(number)) > 1e-4:
-            raise LineFault(f"no parameter has the number {number:g}")
+            raise LineError(f"no parameter has the number {number:g}")
         return round(number)
 
     def value(self) -> float:
-        """A number, parameter, expression or function. Raises LineFault for none, and for a result that is not finite."""
+        """A number, parameter, expression or function. Raises LineError for none, and for a result that is not finite."""
         self.depth += 1
         if self.depth > DEEPEST:
-            raise LineFault(f"more than {DEEPEST} brackets in each other")
+            raise LineError(f"more than {DEEPEST} brackets in each other")
         result = self._value()
         self.depth -= 1
         if not math.isfinite(result):
-            raise LineFault(f"a value is not a finite number {self._before()}")
+            raise LineError(f"a value is not a finite number {self._before()}")
         return result
 
     def _value(self) -> float:
@@ -178,7 +178,7 @@ class Reader:
             if self.code.startswith(f"{name}[", self.at):
                 self.at += len(name) + 1
                 return self._function(name, function)
-        raise LineFault(f"a number is missing {self._before()}")
+        raise LineError(f"a number is missing {self._before()}")
 
     def _function(self, name: str, function: Callable[[float], float]) -> float:
         if name == "exists":
@@ -186,7 +186,7 @@ class Reader:
             self.need("<")
             end = self.code.find(">]", self.at)
             if end < 0:
-                raise LineFault("EXISTS[#<name>] does not end")
+                raise LineError("EXISTS[#<name>] does not end")
             known = self.parameters.has(self.code[self.at : end])
             self.at = end + 2
             return float(known)
@@ -198,20 +198,20 @@ class Reader:
         try:
             return function(argument)
         except (ValueError, OverflowError):
-            raise LineFault(f"{name.upper()}[{argument:g}] has no value") from None
+            raise LineError(f"{name.upper()}[{argument:g}] has no value") from None
 
     def expression(self) -> float:
         """The value of what stands in brackets, behind the opening one."""
         self.depth += 1
         if self.depth > DEEPEST:
-            raise LineFault(f"more than {DEEPEST} brackets in each other")
+            raise LineError(f"more than {DEEPEST} brackets in each other")
         values, pending = [self.value()], list[str]()
         while not self.take("]"):
             if self.done:
-                raise LineFault("a bracket does not close", "close it with ]")
+                raise LineError("a bracket does not close", "close it with ]")
             sign = next((sign for sign in _OPERATORS if self.code.startswith(sign, self.at)), None)
             if sign is None:
-                raise LineFault(f"an operator is missing {self._before()}")
+                raise LineError(f"an operator is missing {self._before()}")
             self.at += len(sign)
             while pending and _RANK[pending[-1]] >= _RANK[sign]:
                 self._apply(values, pending.pop())
@@ -227,9 +227,9 @@ class Reader:
         try:
             result = _OPERATORS[sign](left, right)
         except (ZeroDivisionError, OverflowError, ValueError):
-            raise LineFault(f"{left:g} {sign.upper()} {right:g} has no value") from None
+            raise LineError(f"{left:g} {sign.upper()} {right:g} has no value") from None
         if not math.isfinite(result):
-            raise LineFault(f"{left:g} {sign.upper()} {right:g} has no finite value")
+            raise LineError(f"{left:g} {sign.upper()} {right:g} has no finite value")
         values.append(result)
 
     def _before(self) -> str:

@@ -1,4 +1,4 @@
-"""G-code: the canonical moves of another interpreter, closed formulas for arcs and times, and a name for all that is refused."""
+"""G-code: the canonical moves of another interpreter, closed formulas for arcs and times, a name for all that is refused."""
 
 from __future__ import annotations
 
