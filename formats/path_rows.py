@@ -22,7 +22,7 @@ RAPID = 100.0
 """mm per s of rapid moves when a scene names no speed."""
 RAPID_TURN = 60.0
 """Degrees per s of rapid moves that only turn."""
-MOST_ROWS = 1_000_000
+MOST_ROWS = 500_000
 
 
 @dataclass(frozen=True, slots=True)
