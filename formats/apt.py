@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from ..motion.path import rotation_to_axis
 from ..scene_tool import PathOptions
 from ..spec import one_line
 from ..units import conversion
+from .apt_words import number_behind, numbers_and_words, statements, unit_vector
 from .gcode_moves import arc_sweep
 from .gcode_words import LineError
 from .path_rows import RAPID_TURN, PathRows, ReadPath, arc_length, arc_points, turn_between
@@ -35,8 +36,6 @@ from .path_text import text_of_file
 Array = NDArray[np.float64]
 
 SUFFIXES = (".apt", ".cls", ".ncl", ".aptsource")
-LONGEST = 100_000
-"""Signs of one statement with all its continuation lines."""
 
 _SILENT = {
     "PARTNO", "PPRINT", "REMARK", "INSERT", "MACHIN", "COOLNT", "SPINDL", "SELECT", "SELCTL", "DISPLY", "PAINT", "AUXFUN",
@@ -44,7 +43,6 @@ _SILENT = {
     "PRINT", "SEQNO", "OPSKIP", "THICK", "PLUNGE", "CLAMP", "VERIFY", "CHECK", "MODE", "GOHOME", "TRNTYP", "LETTER",
     "MSYS", "TOOL", "TOOLNO", "TOOL PATH", "END-OF-PATH", "REWIND", "RESET", "HEAD", "ARCSLP", "ISTOP", "RAPTO",
 }  # fmt: skip
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 _STROKES = {
     "DRILL",
     "DEEP",
@@ -117,25 +115,6 @@ def parse(text: str, where: str, units: str = "mm", options: PathOptions | None 
     return ReadPath(path, tuple(rows))
 
 
-def statements(text: str) -> Iterator[tuple[int, str]]:
-    """Each statement with the number of its first line, comments and continuation marks taken out. Raises LineError."""
-    held, first = "", 0
-    for number, raw in enumerate(text.splitlines(), start=1):
-        line = raw.split("$$", 1)[0].rstrip()
-        first = first or number
-        if line.endswith("$"):
-            held += line[:-1]
-            if len(held) > LONGEST:
-                raise LineError(f"a statement of more than {LONGEST} signs")
-            continue
-        held += line
-        if held.strip():
-            yield first, held.strip()
-        held, first = "", 0
-    if held.strip():
-        yield first, held.strip()
-
-
 class _Reader:
     """Modes, and the rows so far."""
 
@@ -191,7 +170,7 @@ class _Reader:
         self._rapid = True
 
     def _feed_rate(self, rest: str, line: int) -> None:
-        values, words = _numbers_and_words(rest)
+        values, words = numbers_and_words(rest)
         if not values:
             if "RAPID" in words:
                 self._rapid = True
@@ -209,17 +188,17 @@ class _Reader:
         self._rapid = False
 
     def _spindle(self, rest: str, line: int) -> None:
-        values, _ = _numbers_and_words(rest)
+        values, _ = numbers_and_words(rest)
         if values:
             self._speed = values[0]
 
     def _tool_axis(self, rest: str, line: int) -> None:
-        values, words = _numbers_and_words(rest)
+        values, words = numbers_and_words(rest)
         if len(values) != 3:
             if words:
                 raise LineError(f"TLAXIS/{rest[:30]} is not read", "write the axis as three numbers")
             raise LineError("TLAXIS needs three numbers")
-        self._axis = _unit_vector(values, "the tool's axis")
+        self._axis = unit_vector(values, "the tool's axis")
 
     def _load_tool(self, rest: str, line: int) -> None:
         self._tools += 1
@@ -231,13 +210,13 @@ class _Reader:
             self.warn("CUTCOM is left to the machine: the path is the tool's as the file gives it", line)
 
     def _system(self, rest: str, line: int) -> None:
-        values, _ = _numbers_and_words(rest)
+        values, _ = numbers_and_words(rest)
         identity = [1.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 0, 1.0, 0]
         if len(values) != 12 or values != identity:
             self.warn("CSYS is another coordinate system than the file's own: places are taken as they stand", line)
 
     def _placed_otherwise(self, rest: str, line: int) -> None:
-        values, _ = _numbers_and_words(rest)
+        values, _ = numbers_and_words(rest)
         if any(values):
             raise LineError("a statement that moves the coordinates is not read", "write the path in one system")
 
@@ -245,7 +224,7 @@ class _Reader:
         self.ended = True
 
     def _dwell(self, rest: str, line: int) -> None:
-        values, words = _numbers_and_words(rest)
+        values, words = numbers_and_words(rest)
         if values and not words:
             if values[0] < 0.0:
                 raise LineError("DELAY waits a negative time")
@@ -260,7 +239,7 @@ class _Reader:
                 self._cycle, self._skips = None, False
             return
         self._cycle, self._skips = None, True
-        values = {name: _number_behind(fields, name) for name in ("FEDTO", "DEPTH", "RAPTO", "CLEAR", "RTRCTO")}
+        values = {name: number_behind(fields, name) for name in ("FEDTO", "DEPTH", "RAPTO", "CLEAR", "RTRCTO")}
         depth = values["FEDTO"] if values["FEDTO"] is not None else values["DEPTH"]
         if kind not in _STROKES or depth is None:
             self.warn(f"CYCLE/{one_line(kind[:20])} is not read: its holes are left out", line)
@@ -269,7 +248,7 @@ class _Reader:
         away = values["RTRCTO"] if values["RTRCTO"] is not None else near
         feed = 0.0
         for name, unit in _PER_MINUTE.items():
-            found = _number_behind(fields, name)
+            found = number_behind(fields, name)
             if found:
                 feed = found * (conversion(unit, self._units) if unit else self._factor)
         if kind not in ("DRILL", "FACE", "CSINK"):
@@ -293,7 +272,7 @@ class _Reader:
         self._go(at, axis)
 
     def _go_delta(self, rest: str, line: int) -> None:
-        values, words = _numbers_and_words(rest)
+        values, words = numbers_and_words(rest)
         if len(values) not in (1, 3) or words:
             raise LineError("GODLTA needs a length along the tool, or three")
         if not self.rows.begun:
@@ -303,11 +282,11 @@ class _Reader:
 
     def _place(self, rest: str, word: str) -> tuple[Array, Array]:
         """The place, scene's unit, and tool axis of a GOTO; the axis holds from now on."""
-        values, words = _numbers_and_words(rest)
+        values, words = numbers_and_words(rest)
         if words or len(values) not in (3, 6):
             raise LineError(f"{word} needs 3 numbers, or 6 with the tool's axis, not {one_line(rest[:40])!r}")
         if len(values) == 6:
-            self._axis = _unit_vector(values[3:], "the tool's axis")
+            self._axis = unit_vector(values[3:], "the tool's axis")
         return np.array(values[:3]) * self._factor, self._axis
 
     def _go(self, at: Array, axis: Array) -> None:
@@ -373,16 +352,16 @@ class _Reader:
         return value
 
     def _begin_circle(self, rest: str, line: int) -> None:
-        values, _ = _numbers_and_words(rest)
+        values, _ = numbers_and_words(rest)
         if len(values) < 6:
             raise LineError("CIRCLE needs its centre and axis, six numbers")
-        self._circle = _Circle(np.array(values[:3]) * self._factor, _unit_vector(values[3:6], "the circle's axis"))
+        self._circle = _Circle(np.array(values[:3]) * self._factor, unit_vector(values[3:6], "the circle's axis"))
 
     def _direction(self, rest: str, line: int) -> None:
-        values, _ = _numbers_and_words(rest)
+        values, _ = numbers_and_words(rest)
         if len(values) != 3:
             raise LineError("INDIRV needs three numbers")
-        self._toward = _unit_vector(values, "the direction")
+        self._toward = unit_vector(values, "the direction")
 
     def _forward(self, statement: str, line: int) -> None:
         """TLON,GOFWD/(CIRCLE/centre,r),ON,(LINE/centre,end): about whatever axis the direction of INDIRV asks for."""
@@ -390,15 +369,15 @@ class _Reader:
         ends = re.search(r"LINE\s*/([^)]*)\)", statement, re.IGNORECASE)
         if circle is None or ends is None:
             raise LineError("GOFWD is only read along a CIRCLE up to a LINE", "export circles as CIRCLE, or as points")
-        centre, _ = _numbers_and_words(circle[1])
-        through, _ = _numbers_and_words(ends[1])
+        centre, _ = numbers_and_words(circle[1])
+        through, _ = numbers_and_words(ends[1])
         if len(centre) < 4 or len(through) != 6:
             raise LineError("GOFWD needs CIRCLE/x,y,z,r and LINE/x,y,z,x,y,z")
         if self._toward is None or not self.rows.begun:
             raise LineError("GOFWD without a start and a direction", "write GOTO and INDIRV before it")
         middle, end = np.array(centre[:3]) * self._factor, np.array(through[3:]) * self._factor
         axis = np.cross(self.rows.at - middle, self._toward)
-        self._circle = _Circle(middle, _unit_vector(axis.tolist(), "the circle's axis"))
+        self._circle = _Circle(middle, unit_vector(axis.tolist(), "the circle's axis"))
         self._go(end, self._axis)
 
 
@@ -433,33 +412,3 @@ _STATEMENTS: dict[str, Callable[[_Reader, str, int], None]] = {
     "INDIRV": _Reader._direction,
     "FINI": _Reader._end,
 }
-
-
-def _numbers_and_words(rest: str) -> tuple[list[float], list[str]]:
-    """What stands behind a slash: the numbers, and the other fields in capitals. Raises LineError for no finite number."""
-    values: list[float] = []
-    words: list[str] = []
-    for field in (field.strip() for field in rest.split(",")):
-        if _NUMBER.fullmatch(field):
-            values.append(float(field.upper().replace("D", "E")))
-            if not math.isfinite(values[-1]):
-                raise LineError(f"{field} is not a finite number")
-        elif field:
-            words.append(field.upper())
-    return values, words
-
-
-def _number_behind(fields: list[str], name: str) -> float | None:
-    """The number in the field behind a name; None where there is none."""
-    if name not in fields[:-1]:
-        return None
-    values, _ = _numbers_and_words(fields[fields.index(name) + 1])
-    return values[0] if values else None
-
-
-def _unit_vector(values: list[float], what: str) -> Array:
-    vector = np.array(values, dtype=np.float64)
-    length = float(np.linalg.norm(vector))
-    if not (length > 1e-9 and math.isfinite(length)):
-        raise LineError(f"{what} has no length")
-    return vector / length

@@ -203,7 +203,7 @@ def _turning(start: Array, places: list[Array], pieces: int) -> list[Array]:
     """The places with so many more in between that rotary axes turn in pieces."""
     each = math.ceil(pieces / len(places))
     if each * len(places) > MOST_MOVES:
-        raise LineError(f"the move turns in more than {MOST_MOVES} pieces", "use a larger tolerance")
+        raise LineError(f"the move turns in more than {MOST_MOVES} pieces", "turn less in one line")
     found: list[Array] = []
     for place in places:
         found += [start + k / each * (place - start) for k in range(1, each)]

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 
 from ..units import conversion
+from .gcode_codes import FLOW, GROUP, REFUSED
 from .gcode_compensation import Compensation
 from .gcode_moves import PLANES, Move, Place
 from .gcode_words import LineError, Parameters
@@ -19,47 +20,6 @@ ZERO: Place = (0.0,) * 6
 NEAR = 5e-4
 """Inches that the two radii of an arc may differ; beyond it, by SPIRAL of the radius."""
 SPIRAL = 1e-3
-
-_GROUPS: dict[str, tuple[float, ...]] = {
-    "motion": (0, 1, 2, 3, 80),
-    "plane": (17, 18, 19),
-    "distance": (90, 91),
-    "arc distance": (90.1, 91.1),
-    "feed": (93, 94, 95),
-    "unit": (20, 21),
-    "compensation": (40, 41.1, 42.1),
-    "length": (43, 43.1, 43.2, 43.4, 49),
-    "coordinates": (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3),
-    "path": (61, 61.1, 64),
-    "retract": (98, 99),
-    "spindle": (96, 97),
-    "lathe": (8,),
-    "once": (4, 10, 28, 28.1, 30, 30.1, 53, 92, 92.1, 92.2, 92.3),
-}
-_GROUP = {code: group for group, codes in _GROUPS.items() for code in codes}
-_REFUSED: dict[float, tuple[str, str]] = {
-    7: ("lathe diameters", "write radii (G8)"),
-    5: ("cubic splines", "write lines and arcs"),
-    5.1: ("quadratic splines", "write lines and arcs"),
-    5.2: ("NURBS", "write lines and arcs"),
-    33: ("spindle-synchronised motion", "write the moves out"),
-    33.1: ("rigid tapping", "write the moves out"),
-    41: ("cutter compensation from a tool table", "write the tool's own path, or G41.1 with the diameter as D"),
-    42: ("cutter compensation from a tool table", "write the tool's own path, or G42.1 with the diameter as D"),
-    43.5: ("tool axes as vectors", "write the rotary axes"),
-    52: ("local offsets", "use G92 or G10"),
-    68: ("rotated coordinates", "write the moves out"),
-    **{38.0 + k / 10: ("probing", "leave it out") for k in (2, 3, 4, 5)},
-    **{float(k): ("a canned cycle", "write its moves out") for k in (*range(70, 80), *range(81, 90))},
-}
-_FLOW: dict[float, str] = {
-    98: "calls a program of another file",
-    99: "goes back from a program",
-    70: "saves modes",
-    71: "saves modes",
-    72: "restores modes",
-    73: "saves modes",
-}
 _LETTERS = "abcdfhijklmnpqrstxyz"
 
 
@@ -75,7 +35,6 @@ class Machine:
         self.ended = False
         self.unit = ""
         self.warnings: dict[str, int] = {}
-        self.tcp = True
         self._motion: float = 80
         self._plane = 17
         self._incremental = False
@@ -131,18 +90,18 @@ class Machine:
     # ------------------------------------------------------------------ words
 
     def _group(self, code: float) -> str:
-        if code in _GROUP:
-            return _GROUP[code]
-        if code in _REFUSED:
-            what, mend = _REFUSED[code]
+        if code in GROUP:
+            return GROUP[code]
+        if code in REFUSED:
+            what, mend = REFUSED[code]
             raise LineError(f"G{code:g} is not read: {what}", mend)
         raise LineError(f"G{code:g} is not known")
 
     def _miscellaneous(self, value: float, line: int) -> bool:
         """An M word; True when it ends the program."""
         code = round(value, 4)
-        if code in _FLOW:
-            raise LineError(f"M{code:g} is not read: it {_FLOW[code]}", "write the moves out, or use O-words")
+        if code in FLOW:
+            raise LineError(f"M{code:g} is not read: it {FLOW[code]}", "write the moves out, or use O-words")
         if 100 <= code <= 199 or code > 199:
             self.warn(f"M{code:g} is the machine's own and passed over", line)
         return code in (2, 30)
