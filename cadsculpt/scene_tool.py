@@ -16,6 +16,7 @@ from .scene_values import (
     Count,
     Exponents,
     Faces,
+    Flag,
     Name,
     NotNegative,
     PartShape,
@@ -31,6 +32,9 @@ from .scene_values import (
 from .spec import LIST, WORD, Fault, Spec, by_type, entries, is_number, read, shown
 from .tools.expression import Expression
 
+CAM_SUFFIXES = (".ngc", ".nc", ".gcode", ".tap", ".cnc", ".apt", ".cls", ".ncl", ".aptsource")
+"""Of the path files that [tool.path_options] are for: G-code, then APT."""
+
 
 class PathRow(Spec):
     """Where the tool is at a time."""
@@ -38,6 +42,31 @@ class PathRow(Spec):
     t: NotNegative = Field(description="time in s")
     at: Vector = Field(description="where the origin of the tool's frame is")
     turn: Turn = Field(default=(0.0, 0.0, 1.0, 0.0), description="turned about an axis: [x, y, z, degrees]")
+
+
+class PathOptions(Spec):
+    """How a G-code or APT file becomes a path; a CSV file says everything itself."""
+
+    units: Unit | None = Field(
+        default=None, description="of the lengths in a file that names none; the scene's when left out"
+    )
+    tolerance: Positive | None = Field(
+        default=None, description="between an arc and its straight pieces, 0.01 mm when left out"
+    )
+    rapid: Positive | None = Field(
+        default=None, description="speed of rapid moves, lengths per s; 100 mm/s when left out"
+    )
+    block_delete: Flag = Field(default=False, description="lines that begin with / are left out")
+    kinematics: Literal["xyzac-trt", "xyzbc-trt", "xyzac-head", "xyzbc-head"] | None = Field(
+        default=None, description="the machine's rotary axes, for files that turn them"
+    )
+    tip: Flag = Field(
+        default=True, description="X, Y, Z are the tool's tip on the part; false when they are the machine's slides"
+    )
+    pivot: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="with tip = false: where a table's rotary axes cross, on the part"
+    )
+    reach: NotNegative = Field(default=0.0, description="with tip = false: from a head's rotary axes to the tool's tip")
 
 
 SIZES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -178,6 +207,9 @@ class ToolSpec(ShapeSpec, NamedTool):
         ]
         | None
     ) = Field(default=None, description="rows of time and place, or a file; left out when a program moves the tool")
+    path_options: PathOptions | None = Field(
+        default=None, description="of a path in a G-code or APT file: see [tool.path_options]"
+    )
 
     @classmethod
     def faults(cls, given: Mapping[str, Any]) -> Iterator[Fault]:
@@ -187,6 +219,11 @@ class ToolSpec(ShapeSpec, NamedTool):
         if "force" in given and given.get("control", "position") == "position":
             yield Fault(("force",), 'force needs control = "force"')
         yield from _path_faults(entries(given, "path"))
+        path = given.get("path")
+        if given.get("path_options") is not None and not (
+            isinstance(path, str) and path.lower().endswith(CAM_SUFFIXES)
+        ):
+            yield Fault(("path_options",), f"path_options belong to a path in a file ({', '.join(CAM_SUFFIXES)})")
 
 
 def _size_faults(shape: str, given: Mapping[str, Any]) -> Iterator[Fault]:

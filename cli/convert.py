@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from ..formats.part import Face, Part
     from ..spline.surface import BSplineSurface
 
+MESHES = (".stl", ".obj", ".ply")
+"""Extensions that stand for triangles."""
+
 
 @click.command("convert")
 @click.argument("source", type=click.Path(path_type=Path), metavar="IN")
@@ -24,10 +27,25 @@ if TYPE_CHECKING:
     "--face", "faces", multiple=True, metavar="NAME", help="Only this face (name or number); may be repeated."
 )
 @click.option("--units", metavar="U", help="Length unit of a file that names none or the wrong one: mm, in, m, ...")
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="MM",
+    help="Of a mesh: mm between faces and triangles; 1/1000 of the part's size when left out.",
+)
 @click.option("--force", is_flag=True, help="Overwrite OUT if it exists.")
 @click.option("--quiet", is_flag=True, help="No progress.")
-def command(source: Path, target: Path, faces: tuple[str, ...], units: str | None, force: bool, quiet: bool) -> int:
-    """Write a CAD file IN as OUT, in the format of OUT's extension: .step .stp .igs .iges .3dm .json .geomdl.json
+def command(
+    source: Path,
+    target: Path,
+    faces: tuple[str, ...],
+    units: str | None,
+    tolerance: float | None,
+    force: bool,
+    quiet: bool,
+) -> int:
+    """Write a CAD file IN as OUT, in the format of OUT's extension: .step .stp .igs .iges .3dm .json
+    .geomdl.json .g2 .xml, or as triangles: .stl .obj .ply
 
     With --face only the surfaces of these faces are written.
 
@@ -39,6 +57,10 @@ def command(source: Path, target: Path, faces: tuple[str, ...], units: str | Non
     from ..formats.geomdl_json import write_surfaces as write_geomdl
 
     format = format_of(target)
+    if tolerance is not None and format != "mesh":
+        raise InputError(
+            "--tolerance is for meshes", where=str(target), mend="write .stl, .obj or .ply, or leave it out"
+        )
     if target.exists() and not force:
         raise InputError("it exists", where=str(target), mend="choose another name, or overwrite it with --force")
     with ProgressDisplay(quiet=quiet) as progress:
@@ -48,7 +70,11 @@ def command(source: Path, target: Path, faces: tuple[str, ...], units: str | Non
         if faces:
             part = part_of_faces(part, chosen_faces(part, faces))
         if format == "geomdl":
-            write_geomdl(target, [in_file_units(part, face) for face in part.faces])
+            write_geomdl(target, registry.surfaces_in_file_units(part))
+        elif format == "mesh":
+            from ..formats.part_mesh import write_part as write_mesh
+
+            write_mesh(part, target, tolerance)
         else:
             registry.write_part(part, target, format)
     for line in part.warnings:
@@ -57,7 +83,7 @@ def command(source: Path, target: Path, faces: tuple[str, ...], units: str | Non
 
 
 def format_of(target: Path) -> str:
-    """The format that a file's name asks for. Raises InputError for a name that asks for none.
+    """The format that a file's name asks for, "mesh" for triangles. Raises InputError for a name that asks for none.
 
     NAME.geomdl.json is the JSON of NURBS-Python.
     """
@@ -66,8 +92,10 @@ def format_of(target: Path) -> str:
     if target.name.lower().endswith(".geomdl.json"):
         return "geomdl"
     suffix = target.suffix.lower()
+    if suffix in MESHES:
+        return "mesh"
     if suffix not in SUFFIXES:
-        known = ", ".join([*SUFFIXES, ".geomdl.json"])
+        known = ", ".join([*SUFFIXES, ".geomdl.json", *MESHES])
         raise InputError(f"no format is known by {suffix or 'no extension'!r}", where=str(target), mend=f"use {known}")
     return SUFFIXES[suffix]
 

@@ -16,7 +16,7 @@ from .console import ProgressDisplay, number, print_json, print_pairs, print_tab
 @click.option("--units", metavar="U", help="Length unit of a file that names none or the wrong one: mm, in, m, ...")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def command(file: Path, as_json: bool, units: str | None, quiet: bool) -> int:
-    """List the faces of a CAD FILE (STEP, IGES, 3DM or patch JSON): name, kind, net, area, size.
+    """List the faces of a CAD FILE (STEP, IGES, 3DM, patch JSON, GoTools or G+Smo): name, kind, net, area, size.
 
     Of a mesh (STL, OBJ, PLY, OFF), say whether it is watertight, its area and volume.
     Lengths are in mm and areas in mm2, whatever the file's unit.

@@ -60,7 +60,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     on_file : told the name of each file before it is read. Raises InputError or GeometryError naming what cannot be used.
     """
     parts: dict[Path, Part] = {}
-    warnings: list[str] = []
+    warnings: list[str] = list(scene.warnings)
 
     def part_of(name: str) -> tuple[Path, Part]:
         path = (scene.folder / name).resolve()

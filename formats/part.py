@@ -131,7 +131,7 @@ class Part(ABC):
 
     path: Path
     format: str
-    """step, iges, 3dm, json or geomdl."""
+    """step, iges, 3dm, json, geomdl, g2 or gismo."""
     units: str
     """The length unit of the file ("mm", "in", ...), "" when the file has none."""
     faces: Faces

@@ -1,4 +1,4 @@
-"""A part made of surfaces alone: what a JSON file is, and any list of surfaces."""
+"""A part made of surfaces alone: what the files of spline libraries are, and any list of surfaces."""
 
 from __future__ import annotations
 

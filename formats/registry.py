@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import InputError
-from ..units import unit_name
+from ..spline.surface import BSplineSurface
+from ..units import conversion, unit_name
 from .part import Part
 
 Reader = Callable[..., Part]
@@ -17,10 +20,19 @@ SUFFIXES = {
     ".iges": "iges", ".igs": "iges",
     ".3dm": "3dm",
     ".json": "json",
+    ".g2": "g2",
+    ".xml": "gismo",
 }  # fmt: skip
 """File name extensions and the formats that they stand for."""
 
-NAMES = {"step": "STEP", "iges": "IGES", "3dm": "Rhino 3DM", "json": "patch JSON"}
+NAMES = {
+    "step": "STEP",
+    "iges": "IGES",
+    "3dm": "Rhino 3DM",
+    "json": "patch JSON",
+    "g2": "GoTools g2",
+    "gismo": "G+Smo XML",
+}
 
 
 def read(path: str | os.PathLike[str], *, units: str | None = None) -> Part:
@@ -47,7 +59,7 @@ def read(path: str | os.PathLike[str], *, units: str | None = None) -> Part:
 
 
 def write_part(part: Part, path: str | os.PathLike[str], format: str) -> None:
-    """Write a whole part as step, iges, 3dm or json, whole or not at all, the same bytes every time.
+    """Write a whole part as step, iges, 3dm, json, g2 or gismo, whole or not at all, the same bytes every time.
 
     What the format cannot hold is named in the part's warnings. Raises InputError when it cannot be written.
     """
@@ -63,10 +75,44 @@ def write_part(part: Part, path: str | os.PathLike[str], format: str) -> None:
 
         left_out = [face.name for face in part.faces if face.warning]
         if left_out:
-            part.warnings.append(f"faces without an exact surface are left out: {', '.join(left_out[:5])}")
+            part.warnings.append(f"faces without an exact surface are left out: {_listed(left_out)}")
         write_surfaces(path, [face.surface for face in part.faces if not face.warning], "mm")
+    elif format in ("g2", "gismo"):
+        _write_spline_library(part, path, format)
     else:
         part.write(path, format)
+
+
+def surfaces_in_file_units(part: Part) -> list[BSplineSurface]:
+    """The faces' surfaces with their names, in the unit of the file that they come from; of a face without one, none."""
+    from .patch_part import PatchPart
+
+    if isinstance(part, PatchPart):
+        return part.in_units()  # with the file's own bits
+    factor = conversion("mm", part.units or "mm")
+    faces = [face for face in part.faces if not face.warning]
+    return [replace(face.surface.scaled(factor), name=face.name) for face in faces]
+
+
+def _write_spline_library(part: Part, path: Path, format: str) -> None:
+    from . import gismo, gotools
+
+    surfaces = surfaces_in_file_units(part)
+    left_out = [face.name for face in part.faces if face.warning]
+    if left_out:
+        part.warnings.append(f"faces without an exact surface are left out: {_listed(left_out)}")
+    if not surfaces:
+        raise InputError("the part has no surfaces to write", where=str(path))
+    if part.units:
+        part.warnings.append(f"{NAMES[format]} has no length unit: the numbers are in {part.units}")
+    trimmed = [surface.name for surface in surfaces if surface.trims is not None]
+    if format == "gismo" and trimmed:
+        part.warnings.append(f"G+Smo XML has no trims: written as whole surfaces are {_listed(trimmed)}")
+    (gotools if format == "g2" else gismo).write_surfaces(path, surfaces)
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
 def _reader(format: str) -> Reader:
@@ -82,6 +128,14 @@ def _reader(format: str) -> Reader:
         from . import rhino
 
         return rhino.read
+    if format == "g2":
+        from . import gotools
+
+        return gotools.read
+    if format == "gismo":
+        from . import gismo
+
+        return gismo.read
     from . import patch_json
 
     return patch_json.read
@@ -101,6 +155,10 @@ def _sniffed(path: Path) -> str | None:
         return "step"
     if text.startswith(b"{"):
         return "json"
+    if text.startswith(b"<") and b"<xml" in text:
+        return "gismo"
+    if re.match(rb"(?:100|200|210|2[5-9]0|700)[ \t]+1[ \t]+\d+[ \t]+\d+\s", text):
+        return "g2"
     lines = head.splitlines()
     if lines and len(lines[0]) >= 73 and lines[0][72:73] == b"S":
         return "iges"

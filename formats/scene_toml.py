@@ -15,10 +15,11 @@ from pydantic import PrivateAttr, ValidationError
 from ..errors import InputError, SceneError
 from ..motion.path import ToolPath
 from ..scene import ModelSpec, OutputSpec, RefitSpec, Scene, SolverSpec, ToolSpec, preset_numbers
-from ..scene_tool import SIZE_KEYS
+from ..scene_tool import SIZE_KEYS, PathOptions
 from ..spec import Place, Spec, entries, one_line, read
 from ..units import unit_name
-from . import path_csv, tool_toml
+from . import path_file, tool_toml
+from .path_rows import ReadPath
 from .toml_file import TomlFile
 from .toml_file import read as read_toml
 from .tool_toml import ToolDefinition
@@ -42,6 +43,7 @@ class SceneFile(Scene):
     _absolute: Path = PrivateAttr(default_factory=lambda: Path("scene.toml").absolute())
     _definitions: dict[int, ToolDefinition] = PrivateAttr(default_factory=dict)
     _paths: dict[str, ToolPath] = PrivateAttr(default_factory=dict)
+    _warnings: list[str] = PrivateAttr(default_factory=list)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -80,6 +82,11 @@ class SceneFile(Scene):
         if name not in {tool.name for tool in self.tool}:
             raise KeyError(name)
         return self._paths.get(name)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the readers of its path files had to say."""
+        return tuple(self._warnings)
 
     def build(self) -> Model:
         """Everything precomputed, from the files that the scene names. Raises what `formats.load.load` does."""
@@ -123,7 +130,8 @@ class SceneFile(Scene):
             if isinstance(tool.path, tuple):
                 scene._paths[tool.name] = ToolPath.of_rows(tool.path)
             elif i in paths:
-                scene._paths[tool.name] = paths[i]
+                scene._paths[tool.name] = paths[i].path
+                scene._warnings += paths[i].warnings
         return scene
 
 
@@ -215,15 +223,15 @@ def _missing_files(
                 yield _line(*_spot(file, definitions, place), f'{_around(whole, place)}{key} "{named}" {what}')
 
 
-def _paths(file: TomlFile, whole: Mapping[str, Any], faults: list[Line]) -> dict[int, ToolPath]:
+def _paths(file: TomlFile, whole: Mapping[str, Any], faults: list[Line]) -> dict[int, ReadPath]:
     """The paths of tools that stand in files of their own; their faults are added to the list."""
-    paths: dict[int, ToolPath] = {}
+    paths: dict[int, ReadPath] = {}
     for i, tool in enumerate(entries(whole, "tool")):
         named = read(tool, "path")
         if not isinstance(named, str) or not (path := file.path.parent / named).is_file():
             continue
         try:
-            paths[i] = path_csv.read(path)
+            paths[i] = path_file.read(path, _unit(whole), _path_options(tool))
         except SceneError as error:
             faults += [(str(path), number, fault) for number, fault in enumerate(error.faults)]
         except InputError as error:
@@ -232,6 +240,15 @@ def _paths(file: TomlFile, whole: Mapping[str, Any], faults: list[Line]) -> dict
             sentence = f'{_around(whole, place)}path "{named}": {error.what}{mend}'
             faults.append(_line(*_spot(file, {}, place), sentence))
     return paths
+
+
+def _path_options(tool: Any) -> PathOptions | None:
+    """What a tool says of its path file; None where it says nothing, or something that is reported elsewhere."""
+    given = read(tool, "path_options")
+    try:
+        return PathOptions.model_validate(given) if isinstance(given, dict) else None
+    except ValidationError:
+        return None
 
 
 # ---------------------------------------------------------------------- writing

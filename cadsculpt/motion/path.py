@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -70,8 +69,10 @@ class ToolPath:
         proper &= np.linalg.det(rotation) > 0.0
         if not proper.all():
             raise InputError(f"path row {_first(~proper)} has no rotation", mend="a right-handed orthonormal matrix")
-        spin = [rotation_vector(b @ a.T) for a, b in pairwise(rotation)]
-        for name, value in (("t", t), ("at", at), ("rotation", rotation), ("spin", np.reshape(spin, (-1, 3)))):
+        spin = np.zeros((len(t) - 1, 3))
+        for i in np.flatnonzero((rotation[1:] != rotation[:-1]).any(axis=(1, 2))):
+            spin[i] = rotation_vector(rotation[i + 1] @ rotation[i].T)
+        for name, value in (("t", t), ("at", at), ("rotation", rotation), ("spin", spin)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
 

@@ -162,11 +162,11 @@ def test_an_interrupt_says_where_the_work_lies(
 def test_the_format_follows_the_name() -> None:
     for name, format in (
         ("a.step", "step"), ("a.STP", "step"), ("a.igs", "iges"), ("a.iges", "iges"), ("a.3dm", "3dm"),
-        ("a.json", "json"), ("a.geomdl.json", "geomdl"),
+        ("a.json", "json"), ("a.geomdl.json", "geomdl"), ("a.g2", "g2"), ("a.xml", "gismo"), ("a.stl", "mesh"),
     ):  # fmt: skip
         assert format_of(Path(name)) == format
     with pytest.raises(InputError, match=r"use \.step"):
-        format_of(Path("a.stl"))
+        format_of(Path("a.dxf"))
     with pytest.raises(InputError, match="no extension"):
         format_of(Path("a"))
 
@@ -195,6 +195,18 @@ def test_convert_keeps_the_surface_and_refuses_to_overwrite(
         assert "--force" in capsys.readouterr().err
         assert target.read_bytes() == before
         assert cadsculpt(["convert", str(panel_file), str(target), "--force", "--quiet"]) == 0
+
+
+def test_convert_to_triangles(panel_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sizes = []
+    for tolerance in ("2", "0.1"):
+        target = tmp_path / f"t{tolerance}.stl"
+        assert cadsculpt(["convert", str(panel_file), str(target), "--tolerance", tolerance, "--quiet"]) == 0
+        assert "STL has no length unit: the numbers are in mm" in capsys.readouterr().err
+        sizes.append(target.stat().st_size)
+    assert sizes[0] < sizes[1]
+    assert cadsculpt(["convert", str(panel_file), str(tmp_path / "a.step"), "--tolerance", "1"]) == 2
+    assert "--tolerance is for meshes" in capsys.readouterr().err
 
 
 def test_convert_of_chosen_faces(panel_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -298,13 +298,13 @@ def test_a_path_in_a_file(folder: Path) -> None:
 
 def test_faults_of_path_files(folder: Path) -> None:
     (folder / "press.csv").write_text("0,0,0,20\n1,0,nan,-4\n0.5,0,0,0\n0.2,0,0,0\n")
-    (folder / "press.ngc").write_text("G0 X0\n")
+    (folder / "press.dxf").write_text("0\n")
     assert faults(folder, GOOD.replace(ROWS, 'path = "press.csv"\n')) == [
         "press.csv:2: nan is not a finite number",
         "press.csv:4: t goes back in time: 0.2 after 0.5",
     ]
-    (fault,) = faults(folder, GOOD.replace(ROWS, 'path = "press.ngc"\n'))
-    assert fault.startswith('scene.toml:21: tool "thumb": path "press.ngc": tool paths of kind \'.ngc\' are not read')
+    (fault,) = faults(folder, GOOD.replace(ROWS, 'path = "press.dxf"\n'))
+    assert fault.startswith('scene.toml:21: tool "thumb": path "press.dxf": tool paths of kind \'.dxf\' are not read')
     (fault,) = faults(folder, GOOD.replace(ROWS, 'path = "none.csv"\n'))
     assert fault == 'scene.toml:21: tool "thumb": path "none.csv" is not there'
     (fault,) = faults(folder, GOOD.replace(ROWS, 'path = "press.csv"\n' + ROWS))
@@ -447,6 +447,32 @@ def scenes(draw: st.DrawFn) -> dict[str, Any]:
         "tool": [{"name": name, **draw(tool)} for name in names[1:]],
         **draw(rest),
     }
+
+
+def test_a_path_of_a_machine(folder: Path) -> None:
+    """Its lengths come in the scene's unit; its options are checked; its warnings are kept."""
+    (folder / "press.ngc").write_text("G20 G0 X1 Z1\nG1 Z0 A90 F60\n")
+    options = '[tool.path_options]\nkinematics = "xyzac-trt"\nrapid = 10\n'
+    scene = load(folder, GOOD.replace(ROWS, 'path = "press.ngc"\n' + options))
+    path = scene.tool_path("thumb")
+    assert path is not None
+    np.testing.assert_allclose(path.at[[0, -1]], [[25.4, 0, 25.4], [25.4, 0, 0]])
+    np.testing.assert_allclose(path.rotation[-1] @ [0, 0, 1], [0, 1, 0], atol=1e-15)
+    assert [line.split("press.ngc: ")[1] for line in scene.warnings] == [
+        "ends without M2, M30 or %: it may have been cut off"
+    ]
+    assert load(folder, dump(scene)) == scene
+    (fault,) = faults(folder, GOOD.replace(ROWS, 'path = "press.ngc"\n'))
+    assert fault.startswith("press.ngc:2: the axis A turns, and no kinematics is given")
+    (fault,) = [
+        line
+        for line in faults(folder, GOOD.replace(ROWS, 'path = "press.ngc"\n' + options.replace("ac-trt", "ac-tr")))
+        if "scene.toml" in line
+    ]
+    assert "did you mean xyzac-trt" in fault
+    (folder / "press.csv").write_text("0,0,0,20\n")
+    (fault,) = faults(folder, GOOD.replace(ROWS, 'path = "press.csv"\n' + options))
+    assert "path_options belong to a path in a file (.ngc" in fault
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
