@@ -49,7 +49,7 @@ def distance(
     cache = GridCache() if cache is None else cache
     sides = [prepared(body, whose, cache) for body, whose in ((a, "first body"), (b, "second body"))]
     if tolerance is None:
-        tolerance = TOLERANCE * min(size_of(side) for side in sides if size_of(side) > 0.0 or side is sides[-1])
+        tolerance = TOLERANCE * smaller_size(sides)
     goal = Goal(tolerance, threshold, budget)
     first, second = sides
     if isinstance(first, SurfaceBody) and isinstance(second, SurfaceBody):
@@ -83,3 +83,12 @@ def size_of(side: SurfaceBody | DistanceField) -> float:
         return side.size
     box = box_of(side)
     return float(np.linalg.norm(box[1] - box[0])) if np.isfinite(box).all() else np.inf
+
+
+def smaller_size(sides: list[SurfaceBody | DistanceField]) -> float:
+    """Diagonal of the smaller body that is no point; of two points, how far from the origin they are."""
+    sizes = [size for size in map(size_of, sides) if 0.0 < size < np.inf]
+    if sizes:
+        return min(sizes)
+    places = [np.asarray(side.box()) for side in sides]
+    return max(1.0, *(float(np.abs(place[np.isfinite(place)]).max(initial=0.0)) for place in places))

@@ -87,7 +87,10 @@ def surface_field_distance(body: SurfaceBody, field: DistanceField, goal: Goal) 
     scale = float(np.abs(body.extents).max())
     finite = box[np.isfinite(box)]
     scale = max(scale, float(np.abs(finite).max(initial=0.0)))
-    noise, far = NOISE * scale, max(body.size, float(np.linalg.norm(box[1] - box[0])) if np.isfinite(box).all() else 0.0)
+    noise, far = (
+        NOISE * scale,
+        max(body.size, float(np.linalg.norm(box[1] - box[0])) if np.isfinite(box).all() else 0.0),
+    )
     middle, half = body.extents.mean(axis=1), 0.5 * np.linalg.norm(body.extents[:, 1] - body.extents[:, 0], axis=1)
     apart = np.maximum(np.maximum(box[0] - body.extents[:, 1], body.extents[:, 0] - box[1]), 0.0)
     waiting = np.maximum(signed_distance(field, middle) - half, np.linalg.norm(apart, axis=1)) - noise
@@ -95,8 +98,10 @@ def surface_field_distance(body: SurfaceBody, field: DistanceField, goal: Goal) 
     waiting = np.maximum(waiting[order], 0.0)
     opened, cells, lower = 0, np.zeros(0, np.int64), np.zeros(0)
     while True:
-        if opened < len(order) and waiting[opened] < search.cutoff and (
-            len(cells) == 0 or waiting[opened] <= lower.min()
+        if (
+            opened < len(order)
+            and waiting[opened] < search.cutoff
+            and (len(cells) == 0 or waiting[opened] <= lower.min())
         ):
             stop = min(opened + GROUP, len(order))
             fresh = np.concatenate([store.spans(int(k)) for k in order[opened:stop]])
@@ -181,7 +186,13 @@ def _corners(store: CellStore, cells: Index, field: DistanceField, search: Searc
 
 
 def _take(
-    store: CellStore, face: int, uv: Array, width: float, field: DistanceField, search: Search, point: Array | None = None
+    store: CellStore,
+    face: int,
+    uv: Array,
+    width: float,
+    field: DistanceField,
+    search: Search,
+    point: Array | None = None,
 ) -> bool:
     """Take in the point of a face at (u, v), known to a width of its border, where it is nearer to the field."""
     g = store.body.patch(face)
