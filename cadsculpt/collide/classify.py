@@ -96,6 +96,7 @@ def _boundary(side: Side, other: Side) -> Array:
     if not parts:
         return np.zeros((0, 3))
     near = np.asarray(side.nearest(np.concatenate(parts)))
+    near = near[np.isfinite(near).all(axis=1)]  # at a centre every direction is as near
     scale = float(np.abs(near).max(initial=1.0))
     return near[np.abs(signed_distance(side, near)) <= 1e-9 * scale]
 

@@ -29,6 +29,9 @@ WAVE = 20000
 TRIES = 3
 """Pairs of a wave from which a closest pair of points is sought."""
 
+POLE = 1e-13
+"""Corners of a cell that agree to this part of their coordinates are one point, a pole."""
+
 GROUP = 32
 """Pairs of patches opened at once, nearest boxes first: the first ones' points spare most of the others."""
 
@@ -238,9 +241,10 @@ def _from_chords(
     g, h = bodies[0].patch(k), bodies[1].patch(l)
     r, s = stores[0].rectangle[at[0]], stores[1].rectangle[at[1]]
     off_a, off_b = False, False
+    middle = *_middle(r, stores[0].corners[at[0]]), *_middle(s, stores[1].corners[at[1]])
     for chord_a, start_a, width_a in chords_a:
         for chord_b, start_b, width_b in chords_b:
-            x = np.array([0.5 * (r[0] + r[1]), 0.5 * (r[2] + r[3]), 0.5 * (s[0] + s[1]), 0.5 * (s[2] + s[3])])
+            x = np.array(middle)
             held_a, held_b = bool(np.isfinite(chord_a[0, 0])), bool(np.isfinite(chord_b[0, 0]))
             x[0], x[2] = start_a if held_a else x[0], start_b if held_b else x[2]
             found = np.empty((4, 3))
@@ -254,6 +258,17 @@ def _from_chords(
                     Witness(found[1], l, float(x[2]), float(x[3])),
                 )  # fmt: skip
     return (off_a, off_b) if off_a or off_b else None
+
+
+def _middle(rectangle: Array, corners: Array) -> tuple[float, float]:
+    """Where Newton starts in a cell: its middle, or its pole, which has no direction to be approached along."""
+    u0, u1, v0, v1 = (float(x) for x in rectangle)
+    u, v = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
+    size = POLE * np.abs(corners).max()
+    for first, second, end in ((0, 2, (u0, v)), (1, 3, (u1, v)), (0, 1, (u, v0)), (2, 3, (u, v1))):
+        if np.abs(corners[first] - corners[second]).max() <= size < np.abs(corners[first] - corners[3 - first]).max():
+            return end
+    return u, v
 
 
 def _border(region: Region | None, uv: Array, speed: Array, held: bool, width: float) -> float | None:
