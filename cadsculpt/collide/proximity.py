@@ -90,6 +90,18 @@ def proximity(
     return Proximity("contact", kind, found, touch, clearance, pairs if len(pairs) else closest)
 
 
+def separation(a: Body, b: Body, *, cache: GridCache | None = None, budget: int = BUDGET) -> DistanceInterval:
+    """The distance of two bodies as solids where they are: 0 where one lies inside the other."""
+    cache = GridCache() if cache is None else cache
+    found = distance(a, b, budget=budget, cache=cache)
+    one, two = prepared(a, "first body", cache), prepared(b, "second body", cache)
+    least = max(found.high - found.low, ROUNDING * max(_reach(one), _reach(two)))
+    for outer, inner in ((one, two), (two, one)):
+        if found.low > least and is_solid(outer) and holds(outer, inner, least):
+            return replace(found, low=0.0, high=0.0)
+    return found
+
+
 def _meeting(a: Side, b: Side, touch: float) -> SurfacePairs:
     if isinstance(a, SurfaceBody) and isinstance(b, SurfaceBody):
         return surfaces_meet(a, b, touch)
