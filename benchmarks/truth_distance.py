@@ -26,7 +26,7 @@ from cadsculpt.spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
 
-PARTS = ("trj4_k1_geo-ac-214.stp", "trj5_k1-pe-214.stp", "as1_pe_203.stp", "trj7_c2-ac-214.stp", "trj8_k1-hc-214.stp")
+PARTS = ("trj4_k1_geo-ac-214.stp", "trj8_k1-hc-214.stp", "as1_pe_203.stp")
 """Files of the corpus' folder `step` whose trimmed faces are paired."""
 
 TRIMMED = 48

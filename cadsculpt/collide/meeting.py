@@ -25,6 +25,9 @@ SAME = 1e-3
 BISECTIONS = 60
 """Halvings of a grid's edge until the point where a field changes its sign is found to rounding."""
 
+NUDGE = 1e-6
+"""Part of the way to the middle of a patch that is gone from a pole for a normal."""
+
 FREE = np.full((2, 2), np.nan)
 """No chord: a point of `nearest_pair` that may lie anywhere on its patch."""
 
@@ -48,7 +51,14 @@ def normals(side: Side, face: Index, u: Array, v: Array, point: Array, other: Ar
         return np.asarray(side.gradient(point)) if np.ptp(np.asarray(side.box()), axis=0).max() > 0 else out
     for k in np.unique(face).tolist():
         mine = face == k
-        found = side.tool.grids[k].surface.with_control_points(side.tool.nets[k]).normal(u[mine], v[mine])
+        surface = side.tool.grids[k].surface.with_control_points(side.tool.nets[k])
+        found = surface.normal(u[mine], v[mine])
+        # at a pole, that of a point a little inside
+        (u0, u1), (v0, v1) = surface.domain
+        inner = surface.normal(
+            u[mine] + NUDGE * (0.5 * (u0 + u1) - u[mine]), v[mine] + NUDGE * (0.5 * (v0 + v1) - v[mine])
+        )
+        found = np.where(np.isfinite(found), found, inner)
         out[mine] = np.where(np.isfinite(found), found, out[mine])
     return out
 
