@@ -18,6 +18,7 @@ from .body import SurfaceBody
 from .field_distance import PointField, signed_distance
 from .pairs import SurfacePairs
 from .query import DistanceField, on_face
+from .solid import UPRIGHT
 from .surface_contacts import EDGE, _nearest, _Solid
 
 Array = NDArray[np.float64]
@@ -72,7 +73,11 @@ def depths(side: Side, points: Array, tie: float) -> Array:
     for start in range(0, len(points), 256):
         part = np.ascontiguousarray(points[start : start + 256])
         found = _nearest(solid, part, np.arange(len(part) + 1))
-        out[start : start + 256] = np.where(np.isfinite(found.depth), found.depth, np.nan)
+        arm = part - found.point
+        along = np.abs(np.einsum("ij,ij->i", arm, found.normal))
+        # beside a pole the closest point may be the pole itself, and the way to it no normal: that tells no side
+        upright = along >= UPRIGHT * np.linalg.norm(arm, axis=1)
+        out[start : start + 256] = np.where(np.isfinite(found.depth) & upright, found.depth, np.nan)
     return out
 
 
