@@ -90,5 +90,5 @@ def smaller_size(sides: list[SurfaceBody | DistanceField]) -> float:
     sizes = [size for size in map(size_of, sides) if 0.0 < size < np.inf]
     if sizes:
         return min(sizes)
-    places = [np.asarray(side.box()) for side in sides]
-    return max(1.0, *(float(np.abs(place[np.isfinite(place)]).max(initial=0.0)) for place in places))
+    places = [np.asarray(side.box()) for side in sides if not isinstance(side, SurfaceBody)]
+    return max(1.0, *(float(np.abs(place[np.isfinite(place)]).max(initial=0.0)) for place in places), 0.0)

@@ -47,7 +47,7 @@ class SurfacePairs:
 
     def ordered(self) -> SurfacePairs:
         """The same pairs in the fixed order."""
-        keys = [self.point[:, 2], self.point[:, 1], self.point[:, 0]]
+        keys: list[Array | Index] = [self.point[:, 2], self.point[:, 1], self.point[:, 0]]
         keys += [self.v_b, self.u_b, self.face_b, self.v_a, self.u_a, self.face_a]
         return self.chosen(np.lexsort(keys))
 

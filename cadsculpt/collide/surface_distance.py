@@ -53,7 +53,7 @@ def surface_distance(a: SurfaceBody, b: SurfaceBody, goal: Goal) -> Search:
     search = Search(goal)
     stores = CellStore(a), CellStore(b)
     waiting_a, waiting_b, waiting = _patch_pairs(a, b, search)
-    tried: set[tuple[int, int, float, float, float, float]] = set()
+    tried: set[tuple[float, ...]] = set()
     front, opened = _Frontier(), 0
     while True:
         # open the pairs of patches that may still hold something nearer, a few at a time
@@ -245,9 +245,10 @@ def _from_poles(
                 # the other surface's point nearest to the pole, then both free
                 held, free = np.array([[u, v], [u, v]]), np.full((2, 2), np.nan)
                 its = 0.5 * (other[0] + other[1]), 0.5 * (other[2] + other[3])
-                patches = stores[0].body.patch(faces[0]), stores[1].body.patch(faces[1])
+                one, two = stores[0].body.patch(faces[0]), stores[1].body.patch(faces[1])
                 x = np.array([0.0, 0.0, *its] if side == 0 else [*its, 0.0, 0.0])
-                nearest_pair(*patches, x, *((held, free) if side == 0 else (free, held)), np.empty((4, 3)))
+                chords = (held, free) if side == 0 else (free, held)
+                nearest_pair(one, two, x, chords[0], chords[1], np.empty((4, 3)))
                 _from_chords(stores, at, search, _FREE, _FREE, x)
 
 
