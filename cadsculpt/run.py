@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .collide.distance import sampled_distance
+from .collide.body import GridCache
+from .collide.detect import SurfaceTool
+from .collide.proximity import separation
 from .errors import InputError, SimulationError
 from .expect import Expectation, evaluate, pair_indices
 from .frames import FrameMaker
@@ -62,6 +64,7 @@ class _Clearance:
     """Which pairs' distance the expectations ask for."""
 
     wanted: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    cache: GridCache = field(default_factory=GridCache)
 
     @classmethod
     def of(cls, model: Model) -> _Clearance:
@@ -73,15 +76,15 @@ class _Clearance:
         return cls(wanted)
 
     def measure(self, session: Session) -> Array:
+        """Certified lower bounds of the distances asked for, NaN elsewhere: (bodies, tools)."""
         model, state = session.model, session.state
         distance = np.full(self.wanted.shape, np.nan)
         for body, tool in np.argwhere(self.wanted):
             placed = model.tools[tool].tool.placed(state.poses[tool])
-            distance[body, tool] = min(
-                sampled_distance(patch.grid, state.control_points[i], placed)
-                for i, patch in enumerate(model.patches)
-                if patch.body == body
-            )
+            mine = [i for i, patch in enumerate(model.patches) if patch.body == body]
+            part = SurfaceTool(tuple(model.patches[i].grid for i in mine), tuple(state.control_points[i] for i in mine))
+            # never more clearance than is certain
+            distance[body, tool] = separation(part, placed, cache=self.cache).low
         return distance
 
 

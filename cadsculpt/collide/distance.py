@@ -1,33 +1,94 @@
-"""Distance between a patch and a tool.
+"""Certified distance of any two bodies: an interval that holds it, and points that attain its upper end.
 
-`sampled_distance` looks at the vertices of the finest grid: never below the true distance, and above it by no more than a
-cell can hide (its sag and half its diagonal's share of the slope). It is what `clearance` expectations of a run compare.
+| bodies | search |
+|---|---|
+| B-spline, B-spline | pairs of cells (`surface_distance`) |
+| B-spline, field or point | cells (`field_distance`) |
+| field or point, field or point | a tree of boxes (`field_distance`) |
+
+A B-spline body is its faces, a field the solid that it bounds. That one body lies inside another whose faces it does not
+meet is for `proximity` to say.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from .detect import FieldTool, PatchGrid, PointTool, SurfaceTool
+from ..errors import InputError
+from .body import GridCache, SurfaceBody
+from .field_distance import PointField, box_of, fields_distance, surface_field_distance
+from .interval import BUDGET, DistanceInterval, Goal
+from .query import DistanceField, FieldTool, PointTool, SurfaceTool
+from .surface_distance import surface_distance
 
 Array = NDArray[np.float64]
+Body = FieldTool | PointTool | SurfaceTool
+
+TOLERANCE = 1e-6
+"""Width of the interval that is asked for, relative to the smaller body's size, where nothing else is."""
 
 
-def sampled_distance(grid: PatchGrid, net: Array, tool: FieldTool | PointTool | SurfaceTool) -> float:
-    """Smallest distance from the grid vertices on the trimmed face to the tool; 0 where one lies inside it."""
-    points = _vertices(grid, net)
-    if isinstance(tool, FieldTool):
-        distance = float(tool.field.distance(points).min(initial=np.inf))
-    elif isinstance(tool, PointTool):
-        distance = float(np.linalg.norm(points - tool.position, axis=1).min(initial=np.inf))
-    else:
-        others = [_vertices(g, n) for g, n in zip(tool.grids, tool.nets, strict=True)]
-        distance = float(cKDTree(np.concatenate(others)).query(points)[0].min(initial=np.inf))
-    return max(0.0, distance)
+def distance(
+    a: Body,
+    b: Body,
+    *,
+    tolerance: float | None = None,
+    threshold: float | None = None,
+    budget: int = BUDGET,
+    cache: GridCache | None = None,
+) -> DistanceInterval:
+    """The distance of two bodies, in [low, high].
+
+    tolerance : width of the interval that is enough; None: TOLERANCE of the smaller body. threshold : the search ends as
+    soon as the distance is known to be above it, or not above it. budget : pairs of cells looked at, at most; then the
+    interval is wider and says `exhausted`. cache : what is reused between calls about the same grids.
+
+    Raises GeometryError for control points, InputError for fields, that are not finite, and for two fields without end.
+    """
+    cache = GridCache() if cache is None else cache
+    sides = [prepared(body, whose, cache) for body, whose in ((a, "first body"), (b, "second body"))]
+    if tolerance is None:
+        tolerance = TOLERANCE * smaller_size(sides)
+    goal = Goal(tolerance, threshold, budget)
+    first, second = sides
+    if isinstance(first, SurfaceBody) and isinstance(second, SurfaceBody):
+        return surface_distance(first, second, goal).interval()
+    if isinstance(first, SurfaceBody) and not isinstance(second, SurfaceBody):
+        return surface_field_distance(first, second, goal).interval()
+    if isinstance(second, SurfaceBody) and not isinstance(first, SurfaceBody):
+        return surface_field_distance(second, first, goal).interval(swapped=True)
+    assert not isinstance(first, SurfaceBody)
+    assert not isinstance(second, SurfaceBody)
+    return fields_distance(first, second, goal).interval()
 
 
-def _vertices(grid: PatchGrid, net: Array) -> Array:
-    points = grid.matrices.points(net, grid.surface.weights)
-    return points.reshape(-1, 3) if grid.inside is None else points[grid.inside]
+def prepared(body: Body, whose: str, cache: GridCache) -> SurfaceBody | DistanceField:
+    """A body as the searches take it. Raises GeometryError or InputError where it is not finite."""
+    if isinstance(body, SurfaceTool):
+        if not body.grids:
+            raise InputError("a body without a face", where=whose)
+        return SurfaceBody(body, whose, cache)
+    if isinstance(body, PointTool):
+        if not np.isfinite(body.position).all():
+            raise InputError("a point's position is not finite", where=whose)
+        return PointField(body.position)
+    box_of(body.field)
+    return body.field
+
+
+def size_of(side: SurfaceBody | DistanceField) -> float:
+    """Diagonal of a body's box; 0 for a point, infinite for a half-space."""
+    if isinstance(side, SurfaceBody):
+        return side.size
+    box = box_of(side)
+    return float(np.linalg.norm(box[1] - box[0])) if np.isfinite(box).all() else np.inf
+
+
+def smaller_size(sides: list[SurfaceBody | DistanceField]) -> float:
+    """Diagonal of the smaller body that is no point; of two points, how far from the origin they are."""
+    sizes = [size for size in map(size_of, sides) if 0.0 < size < np.inf]
+    if sizes:
+        return min(sizes)
+    places = [np.asarray(side.box()) for side in sides if not isinstance(side, SurfaceBody)]
+    return max(1.0, *(float(np.abs(place[np.isfinite(place)]).max(initial=0.0)) for place in places), 0.0)

@@ -43,6 +43,14 @@ class DistanceInterval:
     exhausted: bool
     pairs: int
 
+    def narrowed(self, other: DistanceInterval) -> DistanceInterval:
+        """What two searches for the same distance prove together; decided as the second one is."""
+        best = self if self.high <= other.high else other
+        return DistanceInterval(
+            max(self.low, other.low), best.high, best.a, best.b, other.decided, other.exhausted,
+            self.pairs + other.pairs,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class Goal:

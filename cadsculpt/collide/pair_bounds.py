@@ -21,9 +21,13 @@ SHARP = 1e-9
 
 
 @njit
-def hull_gap(a: Array, b: Array, enough: float) -> float:
+def hull_gap(a: Array, b: Array, worth: float, enough: float) -> float:
     """A lower bound, sharp where GJK converges, of the distance of the hulls of a (n, 3) and b (m, 3); at most 0 where
-    they meet. A gap above `enough` ends the search."""
+    they meet.
+
+    A gap above `enough` ends the search, and so does the certainty that it is below `worth`, of which a twentieth is no
+    loss either.
+    """
     simplex = np.empty((4, 3))
     weights = np.empty(4)
     size = 0
@@ -39,14 +43,14 @@ def hull_gap(a: Array, b: Array, enough: float) -> float:
     best = -np.inf
     for _ in range(GJK_STEPS):
         length = np.sqrt(x * x + y * y + z * z)
-        if not length > noise:
+        if not length > max(noise, worth):
             break
         x, y, z = x / length, y / length, z / length
         i, j = farthest(a, -x, -y, -z), farthest(b, x, y, z)
         dx, dy, dz = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1], a[i, 2] - b[j, 2]
         reach = dx * x + dy * y + dz * z
         best = max(best, reach)
-        if best > enough or (size > 0 and reach >= length - SHARP * length - noise):
+        if best > enough or (size > 0 and reach >= length - SHARP * length - 0.05 * worth - noise):
             break
         simplex[size, 0], simplex[size, 1], simplex[size, 2] = dx, dy, dz
         size = nearest_in_simplex(simplex, size + 1, weights)
@@ -81,4 +85,4 @@ def pair_bounds(
         lower[k] = max(known[k], np.sqrt(d) * (1.0 - 1e-15) - ball_a[a, 3] - ball_b[b, 3] - 1e-14 * largest)
         if lower[k] <= enough:
             sag = sag_a[a] + sag_b[b]
-            lower[k] = max(lower[k], hull_gap(corners_a[a], corners_b[b], enough + sag) - sag)
+            lower[k] = max(lower[k], hull_gap(corners_a[a], corners_b[b], sag, enough + sag) - sag)

@@ -53,7 +53,7 @@ def surface_distance(a: SurfaceBody, b: SurfaceBody, goal: Goal) -> Search:
     search = Search(goal)
     stores = CellStore(a), CellStore(b)
     waiting_a, waiting_b, waiting = _patch_pairs(a, b, search)
-    tried: set[tuple[int, int, float, float, float, float]] = set()
+    tried: set[tuple[float, ...]] = set()
     front, opened = _Frontier(), 0
     while True:
         # open the pairs of patches that may still hold something nearer, a few at a time
@@ -188,6 +188,7 @@ def _improve(
         if key in tried or _holds(stores, at, search):
             continue
         tried.add(key)
+        _from_poles(stores, at, search, tried)
         _closest(stores, at, search)
         done += 1
         if done == TRIES or search.high <= search.goal.enough:
@@ -227,9 +228,34 @@ def _closest(stores: tuple[CellStore, CellStore], at: tuple[int, int], search: S
             _from_chords(stores, at, search, borders[0], borders[1])
 
 
+def _from_poles(
+    stores: tuple[CellStore, CellStore], at: tuple[int, int], search: Search, tried: set[tuple[float, ...]]
+) -> None:
+    """Once for a pair of patches: the closest pairs near their poles, which Newton reaches slowly from beside them."""
+    faces = tuple(int(store.patch[k]) for store, k in zip(stores, at, strict=True))
+    if tuple(map(float, faces)) in tried:
+        return
+    tried.add(tuple(map(float, faces)))
+    for side in range(2):
+        g = stores[side].body.patch(faces[side])
+        for bit, u, v in ((1, g.u[0], None), (2, g.u[-1], None), (4, None, g.v[0]), (8, None, g.v[-1])):
+            if g.poles & bit:
+                r, other = stores[side].rectangle[at[side]], stores[1 - side].rectangle[at[1 - side]]
+                u, v = 0.5 * (r[0] + r[1]) if u is None else u, 0.5 * (r[2] + r[3]) if v is None else v
+                # the other surface's point nearest to the pole, then both free
+                held, free = np.array([[u, v], [u, v]]), np.full((2, 2), np.nan)
+                its = 0.5 * (other[0] + other[1]), 0.5 * (other[2] + other[3])
+                one, two = stores[0].body.patch(faces[0]), stores[1].body.patch(faces[1])
+                x = np.array([0.0, 0.0, *its] if side == 0 else [*its, 0.0, 0.0])
+                chords = (held, free) if side == 0 else (free, held)
+                nearest_pair(one, two, x, chords[0], chords[1], np.empty((4, 3)))
+                _from_chords(stores, at, search, _FREE, _FREE, x)
+
+
 def _from_chords(
     stores: tuple[CellStore, CellStore], at: tuple[int, int], search: Search,
     chords_a: list[tuple[Array, float, float]], chords_b: list[tuple[Array, float, float]],
+    start: Array | None = None,
 ) -> tuple[bool, bool] | None:  # fmt: skip
     """Closest pairs with either point on one of the chords, or free. None where all were on both faces, else whether
     one was off the first, the second face."""
@@ -238,9 +264,10 @@ def _from_chords(
     g, h = bodies[0].patch(k), bodies[1].patch(l)
     r, s = stores[0].rectangle[at[0]], stores[1].rectangle[at[1]]
     off_a, off_b = False, False
+    middle = np.array([0.5 * (r[0] + r[1]), 0.5 * (r[2] + r[3]), 0.5 * (s[0] + s[1]), 0.5 * (s[2] + s[3])])
     for chord_a, start_a, width_a in chords_a:
         for chord_b, start_b, width_b in chords_b:
-            x = np.array([0.5 * (r[0] + r[1]), 0.5 * (r[2] + r[3]), 0.5 * (s[0] + s[1]), 0.5 * (s[2] + s[3])])
+            x = (middle if start is None else start).copy()
             held_a, held_b = bool(np.isfinite(chord_a[0, 0])), bool(np.isfinite(chord_b[0, 0]))
             x[0], x[2] = start_a if held_a else x[0], start_b if held_b else x[2]
             found = np.empty((4, 3))
