@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit, njit_inline
-from ..spline.bounds import S_UU, S_VV
 from ..spline.region import MIXED, OFF, ON, classify
-from .cells import make_cells, span_holding
+from .cells import ACROSS_U, WHOLE, make_cells
 from .workspace import Patch
 
 Array = NDArray[np.float64]
@@ -43,8 +42,8 @@ class Side(NamedTuple):
     """The cells of one moving patch, those of its knot spans first.
 
     rectangle (n, 4) : u0, u1, v0, v1. first, last (n, 4, 3) and sag_first, sag_last (n,) : corners and sag at the ends of
-    the motion. child (n,) : the first of two children. on (n,) : `region` codes. centre (n, 3), radius (n,) : not used,
-    written by `make_cells`. count (1,) : cells made.
+    the motion. child (n,) : the first of two children. on (n,) : `region` codes. cut (n,) : `cells` codes. centre (n, 3),
+    radius (n,) : not used, written by `make_cells`. count (1,) : cells made.
     """
 
     rectangle: Array
@@ -54,6 +53,7 @@ class Side(NamedTuple):
     sag_last: Array
     child: Index
     on: Index
+    cut: Index
     centre: Array
     radius: Array
     count: Index
@@ -97,51 +97,38 @@ class Span(NamedTuple):
 @njit
 def fill(g0: Patch, g1: Patch, still: bool, trim: Trim, side: Side, start: int, end: int) -> None:
     """Corners and sags of the cells start to end, whose rectangles stand there already."""
-    rectangle = side.rectangle[start:end]
-    make_cells(
-        g0, rectangle, side.first[start:end], side.sag_first[start:end], side.centre[start:end], side.radius[start:end]
-    )  # fmt: skip
-    if still:
-        side.last[start:end] = side.first[start:end]
-        side.sag_last[start:end] = side.sag_first[start:end]
-    else:
-        make_cells(
-            g1, rectangle, side.last[start:end], side.sag_last[start:end], side.centre[start:end], side.radius[start:end]
-        )  # fmt: skip
-    side.child[start:end] = UNKNOWN
+    rectangle, on = side.rectangle[start:end], side.on[start:end]
     if trim.trimmed:
-        classify(trim.chords, trim.deviation, trim.box, trim.shifts, trim.low, trim.size, rectangle, side.on[start:end])
+        classify(trim.chords, trim.deviation, trim.box, trim.shifts, trim.low, trim.size, rectangle, on)
     else:
-        side.on[start:end] = ON
+        on[:] = ON
+    first, last, sag_first, sag_last = (
+        side.first[start:end], side.last[start:end], side.sag_first[start:end], side.sag_last[start:end],
+    )  # fmt: skip
+    centre, radius, cut = side.centre[start:end], side.radius[start:end], side.cut[start:end]
+    make_cells(g0, rectangle, on, first, sag_first, centre, radius, cut)
+    if still:
+        last[:], sag_last[:] = first, sag_first
+    else:
+        make_cells(g1, rectangle, on, last, sag_last, centre, radius, cut)
+    side.child[start:end] = UNKNOWN
     side.count[0] = end
 
 
 @njit
 def halve(g0: Patch, g1: Patch, still: bool, trim: Trim, side: Side, k: int) -> bool:
     """Make the two children of cell k; False where it is too narrow to have any. There must be room for them."""
-    u0, u1, v0, v1 = side.rectangle[k, 0], side.rectangle[k, 1], side.rectangle[k, 2], side.rectangle[k, 3]
-    mu, mv = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
-    can_u, can_v = u0 < mu < u1, v0 < mv < v1
-    if not (can_u or can_v):
+    if side.cut[k] == WHOLE:
         side.child[k] = NONE
         return False
-    # how far the surface reaches either way: the longer edge, and the bulge over it
-    a, b = span_holding(g0.u, g0.row_u, g0.tally[0, 0], mu), span_holding(g0.v, g0.row_v, g0.tally[0, 1], mv)
-    along_u = (u1 - u0) ** 2 * g0.bounds[a, b, S_UU]
-    along_v = (v1 - v0) ** 2 * g0.bounds[a, b, S_VV]
-    for at in range(2):
-        c = side.first[k] if at == 0 else side.last[k]
-        along_u = max(along_u, length(c, 1, 0), length(c, 3, 2))
-        along_v = max(along_v, length(c, 2, 0), length(c, 3, 1))
     n = side.count[0]
     side.child[k] = n
     for c in range(4):
         side.rectangle[n, c] = side.rectangle[k, c]
         side.rectangle[n + 1, c] = side.rectangle[k, c]
-    if can_u and (along_u >= along_v or not can_v):
-        side.rectangle[n, 1], side.rectangle[n + 1, 0] = mu, mu
-    else:
-        side.rectangle[n, 3], side.rectangle[n + 1, 2] = mv, mv
+    low = 0 if side.cut[k] == ACROSS_U else 2
+    middle = 0.5 * (side.rectangle[k, low] + side.rectangle[k, low + 1])
+    side.rectangle[n, low + 1], side.rectangle[n + 1, low] = middle, middle
     fill(g0, g1, still, trim, side, n, n + 2)
     return True
 
@@ -209,7 +196,11 @@ def before(queue: Queue, i: int, j: int) -> bool:
 
 @njit_inline
 def move(queue: Queue, source: int, target: int) -> None:
-    queue.key[target], queue.size[target], queue.until[target] = queue.key[source], queue.size[source], queue.until[source]
+    queue.key[target], queue.size[target], queue.until[target] = (
+        queue.key[source],
+        queue.size[source],
+        queue.until[source],
+    )
     queue.a[target], queue.b[target] = queue.a[source], queue.b[source]
 
 
@@ -244,7 +235,9 @@ def overlap(
 
 
 @njit
-def first_overlaps(a0: Array, a1: Array, at: Span, b0: Array, b1: Array, bt: Span, pad: float, s0: float, s1: float) -> Array:
+def first_overlaps(
+    a0: Array, a1: Array, at: Span, b0: Array, b1: Array, bt: Span, pad: float, s0: float, s1: float
+) -> Array:
     """`overlap` of every box of a (n, 6) with every one of b (m, 6): (n, m)."""
     out = np.empty((len(a0), len(b0)))
     for i in range(len(a0)):
@@ -252,6 +245,21 @@ def first_overlaps(a0: Array, a1: Array, at: Span, b0: Array, b1: Array, bt: Spa
             t = overlap(a0, a1, at, b0, b1, bt, i, j, pad, s0, s1)
             out[i, j] = max(s0, t - 1e-12 * (s1 - s0))
     return out
+
+
+@njit
+def ball_overlap(
+    a0: Array, a1: Array, origin: Array, displacement: Array, radius: float, pad: float, s0: float
+) -> float:
+    """When, from s0 to 1, any box of a first comes within pad of the box around a ball that moves from origin at 0."""
+    b0, b1 = np.empty((1, 6)), np.empty((1, 6))
+    for c in range(3):
+        b0[0, c], b0[0, 3 + c] = origin[c] - radius, origin[c] + radius
+        b1[0, c], b1[0, 3 + c] = b0[0, c] + displacement[c], b0[0, 3 + c] + displacement[c]
+    whole, first = Span(0.0, 1.0), np.inf
+    for i in range(len(a0)):
+        first = min(first, overlap(a0, a1, whole, b0, b1, whole, i, 0, pad, s0, 1.0))
+    return first
 
 
 @njit
@@ -333,7 +341,7 @@ def advance(
             continue
         # the larger one is halved, the other where that is too narrow already
         split_a = size_a >= size_b
-        for attempt in range(2):
+        for _ in range(2):
             if split_a:
                 divided = a.child[i] >= 0 or (a.child[i] == UNKNOWN and halve(g0, g1, still_a, trim_a, a, i))
             else:
@@ -380,7 +388,9 @@ def directions(p0: Array, p1: Array, q0: Array, q1: Array, d: Array) -> None:
     vv, mv = 0.0, 0.0
     for c in range(3):
         mx[c] = 0.25 * ((q0[0, c] + q0[1, c] + q0[2, c] + q0[3, c]) - (p0[0, c] + p0[1, c] + p0[2, c] + p0[3, c]))
-        vx[c] = 0.25 * ((q1[0, c] + q1[1, c] + q1[2, c] + q1[3, c]) - (p1[0, c] + p1[1, c] + p1[2, c] + p1[3, c])) - mx[c]
+        vx[c] = (
+            0.25 * ((q1[0, c] + q1[1, c] + q1[2, c] + q1[3, c]) - (p1[0, c] + p1[1, c] + p1[2, c] + p1[3, c])) - mx[c]
+        )
         vv += vx[c] * vx[c]
         mv += mx[c] * vx[c]
     nearest, e, f = np.inf, 0, 0

@@ -79,7 +79,7 @@ def _side(room: int) -> Side:
 
     return Side(
         rectangle=np.empty((room, 4)), first=np.empty((room, 4, 3)), last=np.empty((room, 4, 3)),
-        sag_first=np.empty(room), sag_last=np.empty(room), child=integers(room), on=integers(room),
+        sag_first=np.empty(room), sag_last=np.empty(room), child=integers(room), on=integers(room), cut=integers(room),
         centre=np.empty((room, 3)), radius=np.empty(room), count=integers(1),
     )  # fmt: skip
 

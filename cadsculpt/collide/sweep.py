@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..motion.motion import Motion
 from ..spline.surface import BSplineSurface
-from .advance import CLEAR, CONTACT, ROOM, SPENT, Span, advance, first_overlaps, seed
+from .advance import CLEAR, CONTACT, ROOM, SPENT, Span, advance, ball_overlap, first_overlaps, seed
 from .grid import PatchGrid
 from .moving import (
     Cover,
@@ -131,6 +132,8 @@ def _of_rigid(
 ) -> TimeOfContact | None:  # fmt: skip
     """Against a rigid tool, piece by piece of its turning."""
     box, radius = cache.frame_box(b)
+    if _far(boxes, b.motion, radius, tolerance, start):
+        return None
     search = _Search(a, boxes, b.grids, cache, budget)
     nets: dict[float, tuple[Array, ...]] = {}
     t, length = start, 1.0 - start
@@ -163,6 +166,13 @@ def _of_rigid(
     return None
 
 
+def _far(boxes: tuple[Array, Array], motion: Motion, radius: float, pad: float, start: float) -> bool:
+    """Whether the ball around a tool's origin stays away: nearly all steps end here."""
+    if not radius < np.inf:
+        return False
+    return not ball_overlap(*boxes, motion.start.at, motion.displacement, radius, pad, start) < np.inf
+
+
 def _of_field(
     a: MovingPatches, boxes: tuple[Array, Array], b: MovingField, tolerance: float, start: float, budget: int,
     cache: SweepCache,
@@ -171,7 +181,10 @@ def _of_field(
     box = np.asarray(b.box, dtype=np.float64)
     if box.shape != (2, 3) or np.isnan(box).any():
         raise InputError("the tool's box is not a number", mend="low and high corner, (2, 3)")
-    radius = float(np.linalg.norm(np.abs(box).max(axis=0)))
+    far = np.maximum(-box[0], box[1])
+    radius = float(np.sqrt(far @ far))
+    if _far(boxes, b.motion, radius, tolerance, start):
+        return None
     low, high, pad = swept_box(b.motion, box, radius, start, 1.0)
     span = Span(start, 1.0)
     times = first_overlaps(*boxes, WHOLE_STEP, low, high, span, pad + tolerance, start, 1.0)[:, 0]

@@ -9,6 +9,9 @@ earliest cells are looked at first, many at once, since the tool's distance is o
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,9 +23,12 @@ from .moving import Cover, MovingField
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 BATCH = 128
-"""Cells looked at in one wave."""
+"""Cells looked at in the first wave; later waves are larger by a quarter each, up to MOST."""
+
+MOST = 8192
 
 NEAR = 0.5
 """A cell clear by less than this part of its radius is refined, others are advanced."""
@@ -34,49 +40,44 @@ Found = tuple[float, float, int, float, float, Array, bool]
 """low, high, face, u, v, point, exhausted."""
 
 
-class _Wave:
-    """Cells that wait: face, rectangle (n, 4), corners at both ends of the step (n, 2, 4, 3), sag at both (n, 2), whether
-    the face's border may cross them, the time until which each is clear, and its size."""
+@dataclass(slots=True, eq=False)
+class _Cells:
+    """Cells made so far, n of them: face (n,), rectangle (n, 4), corners (n, 2, 4, 3) and sag (n, 2) at both ends of the
+    step, mixed (n,) : whether the face's border may cross it, size (n,)."""
 
-    __slots__ = ("corners", "face", "mixed", "rectangle", "sag", "size", "until")
+    count: int = 0
+    face: Index = dataclass_field(default_factory=lambda: np.zeros(0, np.int64))
+    rectangle: Array = dataclass_field(default_factory=lambda: np.zeros((0, 4)))
+    corners: Array = dataclass_field(default_factory=lambda: np.zeros((0, 2, 4, 3)))
+    sag: Array = dataclass_field(default_factory=lambda: np.zeros((0, 2)))
+    mixed: Mask = dataclass_field(default_factory=lambda: np.zeros(0, np.bool_))
+    size: Array = dataclass_field(default_factory=lambda: np.zeros(0))
 
-    def __init__(
-        self, face: Index, rectangle: Array, corners: Array, sag: Array, mixed: NDArray[np.bool_], until: Array
-    ) -> None:
-        self.face, self.rectangle, self.corners, self.sag, self.mixed, self.until = (
-            face, rectangle, corners, sag, mixed, until,
-        )  # fmt: skip
-        self.size = np.ptp(corners, axis=2).max(axis=(1, 2)) if len(face) else np.zeros(0)
-
-    def __len__(self) -> int:
-        return len(self.face)
-
-    def __getitem__(self, which: NDArray[np.generic]) -> _Wave:
-        return _Wave(
-            self.face[which], self.rectangle[which], self.corners[which], self.sag[which], self.mixed[which],
-            self.until[which],
-        )  # fmt: skip
-
-    @staticmethod
-    def joined(parts: list[_Wave]) -> _Wave:
-        names = ("face", "rectangle", "corners", "sag", "mixed", "until")
-        return _Wave(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-def _cells(face: int, cover: Cover, rectangle: Array, until: Array) -> _Wave:
-    """The cells over rectangles, but for those off the face."""
-    on = np.ones(len(rectangle), np.int64) if cover.region is None else cover.region.classify(rectangle)
-    keep = on != OFF
-    rectangle, on, until = np.ascontiguousarray(rectangle[keep]), on[keep], until[keep]
-    n = len(rectangle)
-    corners, sag = np.empty((2, n, 4, 3)), np.empty((2, n))
-    centre, radius = np.empty((n, 3)), np.empty(n)
-    make_cells(cover.first, rectangle, corners[0], sag[0], centre, radius)
-    if cover.still:
-        corners[1], sag[1] = corners[0], sag[0]
-    else:
-        make_cells(cover.last, rectangle, corners[1], sag[1], centre, radius)
-    return _Wave(np.full(n, face), rectangle, corners.transpose(1, 0, 2, 3), sag.T, on == MIXED, until)
+    def add(self, face: int, cover: Cover, rectangle: Array) -> tuple[Index, Mask]:
+        """Cells over rectangles: the places of those that hold a piece of the face, and which these are."""
+        on = np.ones(len(rectangle), np.int64) if cover.region is None else cover.region.classify(rectangle)
+        keep = on != OFF
+        rectangle, on = np.ascontiguousarray(rectangle[keep]), on[keep]
+        n = len(rectangle)
+        places = np.arange(self.count, self.count + n)
+        self.count += n
+        if self.count > len(self.size):
+            for name in ("face", "rectangle", "corners", "sag", "mixed", "size"):
+                old = getattr(self, name)
+                new = np.empty((2 * self.count + 256, *old.shape[1:]), old.dtype)
+                new[: len(old)] = old
+                setattr(self, name, new)
+        corners, sag = np.empty((2, n, 4, 3)), np.empty((2, n))
+        centre, radius, cut = np.empty((n, 3)), np.empty(n), np.empty(n, np.int64)
+        make_cells(cover.first, rectangle, on, corners[0], sag[0], centre, radius, cut)
+        if cover.still:
+            corners[1], sag[1] = corners[0], sag[0]
+        else:
+            make_cells(cover.last, rectangle, on, corners[1], sag[1], centre, radius, cut)
+        self.face[places], self.rectangle[places], self.mixed[places] = face, rectangle, on == MIXED
+        self.corners[places], self.sag[places] = corners.transpose(1, 0, 2, 3), sag.T
+        self.size[places] = np.ptp(corners[0], axis=1).max(axis=1)
+        return places, keep
 
 
 def against_field(
@@ -90,57 +91,63 @@ def against_field(
     """
     motion = tool.motion
     whole, span = Span(0.0, 1.0), Span(start, 1.0)
+    cells = _Cells()
     parts = []
     for face, cover in covers:
         times = first_overlaps(
-            cover.first.box, cover.last.box, whole, swept[0], swept[1], span, swept[2] + near, start, 1.0
+            cover.first.box, cover.last.box, whole, swept[0], swept[1], span, swept[2] + cover.slack, start, 1.0
         )[:, 0]
         meets = np.flatnonzero(times < 1.0)
-        spans = cover.side.rectangle[: len(times)]
-        parts.append(_cells(face, cover, spans[meets], times[meets]))
-    waiting = _Wave.joined(parts)
+        places, keep = cells.add(face, cover, cover.side.rectangle[meets])
+        parts.append((places, times[meets][keep]))
+    waiting, until = (np.concatenate(part) for part in zip(*parts, strict=True))
     by_face = dict(covers)
     size = float(np.abs(motion.start.at).max() + np.abs(motion.displacement).max())
     size += radius if radius < np.inf else max(float(np.abs(cover.first.box).max()) for _, cover in covers)
     slack = ROUND_OFF * size + max(cover.slack for _, cover in covers)
     speed = max(cover.speed for _, cover in covers) + motion.speed(min(radius, size))
     step = near / (8.0 * speed) if speed > 0.0 else 1.0
-    limit = 1.0
+    limit, batch = 1.0, BATCH
     best: Found | None = None
     while True:
-        waiting = waiting[waiting.until < limit]
+        waiting, until = waiting[until < limit], until[until < limit]
         if not len(waiting):
             return best
-        order = np.lexsort((waiting.size, np.floor(waiting.until / step)))
+        # the earliest first, and among those of nearly one time the smallest
+        key = np.floor((until - start) / step)
+        key += cells.size[waiting] * (0.5 / max(float(cells.size[: cells.count].max()), 1e-300))
+        order = np.argpartition(key, batch) if batch < len(key) else np.arange(len(key))
         if budget <= 0:
-            k = order[0]
-            return _found(waiting, k, float(waiting.until.min()), np.inf if best is None else best[1], True)
-        looked, rest = waiting[order[:BATCH]], order[BATCH:]
+            k = int(np.argmin(until))
+            found = _found(cells, int(waiting[k]), tool, float(until[k]))
+            return (float(until[k]), np.inf if best is None else best[1], *(found if best is None else best[2:6]), True)
+        looked, rest = order[:batch], order[batch:]
+        batch = min(MOST, batch + batch // 4)
         budget -= len(looked)
-        touch, until, again, finer = _look(looked, tool, radius, slack, near)
+        here, now = waiting[looked], until[looked]
+        touch, later, again, finer = _look(cells, here, now, tool, radius, slack, near)
         if touch.any():
-            k = int(np.flatnonzero(touch)[np.argmin(looked.until[touch])])
-            if looked.until[k] < limit:
-                limit = float(looked.until[k])
-                best = _found(looked, k, limit, limit, False)
-        looked.until = until
-        parts = [waiting[rest], looked[again]]
-        split = looked[finer]
-        for face in np.unique(split.face).tolist():
-            mine = split[split.face == face]
-            parts.append(_cells(face, by_face[face], quarters(mine.rectangle), np.repeat(mine.until, 4)))
-        waiting = _Wave.joined(parts)
+            k = int(np.flatnonzero(touch)[np.argmin(now[touch])])
+            limit = float(now[k])
+            best = (limit, limit, *_found(cells, int(here[k]), tool, limit), False)
+        parts = [(waiting[rest], until[rest]), (here[again], later[again])]
+        split, since = here[finer], later[finer]
+        for face in np.unique(cells.face[split]).tolist():
+            mine = cells.face[split] == face
+            places, keep = cells.add(face, by_face[face], quarters(cells.rectangle[split[mine]]))
+            parts.append((places, np.repeat(since[mine], 4)[keep]))
+        waiting, until = (np.concatenate(part) for part in zip(*parts, strict=True))
 
 
 def _look(
-    w: _Wave, tool: MovingField, radius: float, slack: float, near: float
-) -> tuple[NDArray[np.bool_], Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    cells: _Cells, here: Index, s: Array, tool: MovingField, radius: float, slack: float, near: float
+) -> tuple[Mask, Array, Mask, Mask]:
     """Every cell at its own time: whether it touches, until when it is clear, whether it is to wait, or to be refined."""
-    motion, s = tool.motion, w.until
-    f = s[:, None]
-    corners = (1.0 - f)[..., None] * w.corners[:, 0] + f[..., None] * w.corners[:, 1]
-    sag = (1.0 - s) * w.sag[:, 0] + s * w.sag[:, 1] + slack
-    swelling = np.maximum(0.0, w.sag[:, 1] - w.sag[:, 0])
+    motion, f = tool.motion, s[:, None, None]
+    ends, sags = cells.corners[here], cells.sag[here]
+    corners = (1.0 - f) * ends[:, 0] + f * ends[:, 1]
+    sag = (1.0 - s) * sags[:, 0] + s * sags[:, 1] + slack
+    swelling = np.maximum(0.0, sags[:, 1] - sags[:, 0])
     centre = 0.5 * (corners.min(axis=1) + corners.max(axis=1))
     arms = corners - centre[:, None]
     reach = np.sqrt((arms * arms).sum(axis=2)).max(axis=1) + sag
@@ -149,7 +156,7 @@ def _look(
     if np.isnan(distance).any():
         raise InputError("a distance to the tool is not a number")
     # how fast the corners come against the tool's origin, and its points against them
-    relative = w.corners[:, 1] - w.corners[:, 0] - motion.displacement
+    relative = ends[:, 1] - ends[:, 0] - motion.displacement
     fastest = np.sqrt((relative * relative).sum(axis=2)).max(axis=1)
     left = 1.0 - s
     out = np.sqrt((local * local).sum(axis=1)) + reach + fastest * left
@@ -166,10 +173,10 @@ def _look(
         part = np.maximum(part, beyond)
         gap = np.where(outside, np.maximum(gap, height.min(axis=1)), gap)
     until = np.where(part > 0.0, s + part, s)
-    small = (reach <= 0.25 * near) | ~_divisible(w.rectangle)
+    small = (reach <= 0.25 * near) | ~_divisible(cells.rectangle[here])
     # a corner within reach is a contact whatever the cell's size
     touch = small & (gap <= 0.25 * near)
-    may = np.flatnonzero((gap <= near) & ~w.mixed & ~touch)
+    may = np.flatnonzero((gap <= near) & ~cells.mixed[here] & ~touch)
     if len(may):
         places = motion.to_tool(corners[may].reshape(-1, 3), np.repeat(s[may], 4))
         touch[may] = (tool.shape.field(places)[0].reshape(-1, 4) <= near).any(axis=1)
@@ -185,15 +192,15 @@ def _part(gap: Array, speed: Array) -> Array:
         return np.where(gap > 0.0, np.where(speed > 0.0, gap / speed, np.inf), 0.0)
 
 
-def _divisible(rectangle: Array) -> NDArray[np.bool_]:
+def _divisible(rectangle: Array) -> Mask:
     u0, u1, v0, v1 = rectangle.T
     mu, mv = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
     return np.asarray((u0 < mu) & (mu < u1) & (v0 < mv) & (mv < v1))
 
 
-def _found(w: _Wave, k: int, low: float, high: float, exhausted: bool) -> Found:
-    """The middle of cell k as the place of contact."""
-    s = high if high < np.inf else low
-    u0, u1, v0, v1 = w.rectangle[k]
-    point = ((1.0 - s) * w.corners[k, 0] + s * w.corners[k, 1]).mean(axis=0)
-    return low, high, int(w.face[k]), float(0.5 * (u0 + u1)), float(0.5 * (v0 + v1)), point, exhausted
+def _found(cells: _Cells, k: int, tool: MovingField, s: float) -> tuple[int, float, float, Array]:
+    """Face, u, v and place of the corner of cell k that is nearest to the tool at s."""
+    corners = (1.0 - s) * cells.corners[k, 0] + s * cells.corners[k, 1]
+    e = int(np.argmin(tool.shape.field(tool.motion.to_tool(corners, np.full(4, s)))[0]))
+    u, v = cells.rectangle[k, e & 1], cells.rectangle[k, 2 + (e >> 1)]
+    return int(cells.face[k]), float(u), float(v), corners[e]

@@ -31,9 +31,8 @@ class Motion:
 
     def __post_init__(self) -> None:
         for name in ("displacement", "rotation"):
-            value = np.array(getattr(self, name), dtype=np.float64).reshape(3)
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64).reshape(3))
+        object.__setattr__(self, "start", Pose(np.array(self.start.at, dtype=np.float64), self.start.rotation))
         numbers = np.concatenate([self.displacement, self.rotation, self.start.at, self.start.rotation.ravel()])
         if not np.isfinite(numbers).all():
             raise InputError("a motion with a number that is not finite")
