@@ -51,6 +51,10 @@ class RigidPatches:
     nets: tuple[Array, ...]
     motion: Motion
 
+    def __post_init__(self) -> None:
+        if len(self.grids) != len(self.nets):
+            raise InputError(f"{len(self.grids)} patches with {len(self.nets)} nets")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingField:
@@ -172,6 +176,8 @@ class SweepCache:
         known = self._extents.get(key)
         # only what nobody can change is taken as known
         if known is None or known[0] is not body.nets or any(net.flags.writeable for net in body.nets):
+            for grid, net in zip(body.grids, body.nets, strict=True):
+                check_net(grid, net, "tool")
             boxes = extents_of(body.nets, "tool")
             radius = max(float(np.sqrt((net * net).sum(axis=2).max())) for net in body.nets)
             self._extents[key] = known = (body.nets, np.array([*boxes[:, 0].min(0), *boxes[:, 1].max(0), radius]))

@@ -3,8 +3,12 @@
 A cell is held by a sphere around its corners, grown by its sag. Its distance from the tool, less the radius, falls no faster
 than the corners move against the tool, than the tool's own points turn, and than the sag grows: that gives the time until
 which it is clear (sphere tracing in time; J. C. Hart, The Visual Computer 12 (1996)). Where the tool is convex, the plane
-that touches it where it is nearest to the cell gives another one, which motion along that plane does not shorten. The
-earliest cells are looked at first, many at once, since the tool's distance is one call for all of them.
+that touches it where it is nearest to the cell gives another one, which motion along that plane does not shorten, nor a
+turn that leaves it in place. The earliest cells are looked at first, many at once, since the tool's distance is one call
+for all of them.
+
+Close to a tool that is not known to be convex, cells have to be as small as the gap: a tool of radius R costs about 30 R /
+tolerance cells where it comes to rest on something flat.
 """
 
 from __future__ import annotations
@@ -166,10 +170,18 @@ def _look(
     if tool.convex:
         n = motion.to_world(normal, s)[:, None]
         height = distance[:, None] + (n * arms).sum(axis=2) - sag[:, None]
-        sinking = (turning + swelling)[:, None] - (n * relative).sum(axis=2)
-        sinking = np.maximum(sinking, 0.0)
         outside = (height > 0.0).all(axis=1) & (distance > 0.0)
-        beyond = np.where(outside, _part(height, sinking).min(axis=1), 0.0)
+        # in the tool's frame the plane stands still, and the corners run past it on curves
+        from_origin = corners - motion.start.at - s[:, None, None] * motion.displacement
+        rise = (n * (relative - np.cross(motion.rotation, from_origin))).sum(axis=2) - swelling[:, None]
+        # until they are twice as far from the tool's origin, they bend by no more than this
+        size = np.sqrt((from_origin * from_origin).sum(axis=2)).max(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            horizon = np.where(fastest * left > size, size / fastest, left) if motion.angle > 0.0 else left
+        bend = motion.angle * (motion.angle * (size + fastest * horizon) + 2.0 * fastest)
+        beyond = np.where(outside, _fall(height, rise, bend[:, None]).min(axis=1), 0.0)
+        if motion.angle > 0.0:
+            beyond = np.where(horizon < left, np.minimum(beyond, horizon), beyond)
         part = np.maximum(part, beyond)
         gap = np.where(outside, np.maximum(gap, height.min(axis=1)), gap)
     until = np.where(part > 0.0, s + part, s)
@@ -190,6 +202,14 @@ def _part(gap: Array, speed: Array) -> Array:
     """For how long a gap lasts, 0 where there is none; infinite at rest."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(gap > 0.0, np.where(speed > 0.0, gap / speed, np.inf), 0.0)
+
+
+def _fall(height: Array, rise: Array, bend: Array) -> Array:
+    """When height + rise t - bend t^2 / 2 comes down to 0; infinite if never."""
+    root = np.sqrt(rise * rise + 2.0 * bend * np.maximum(height, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # the two forms of the root: neither cancels
+        return np.where(rise < 0.0, 2.0 * height / (root - rise), np.where(bend > 0.0, (rise + root) / bend, np.inf))
 
 
 def _divisible(rectangle: Array) -> Mask:
