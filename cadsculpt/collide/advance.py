@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..jit import njit, njit_inline
 from ..spline.region import MIXED, OFF, ON, classify
 from .cells import ACROSS_U, WHOLE, make_cells
+from .swept_boxes import Span, overlap
 from .workspace import Patch
 
 Array = NDArray[np.float64]
@@ -43,7 +44,7 @@ class Side(NamedTuple):
 
     rectangle (n, 4) : u0, u1, v0, v1. first, last (n, 4, 3) and sag_first, sag_last (n,) : corners and sag at the ends of
     the motion. child (n,) : the first of two children. on (n,) : `region` codes. cut (n,) : `cells` codes. centre (n, 3),
-    radius (n,) : not used, written by `make_cells`. count (1,) : cells made.
+    radius (n,) : not used, written by `make_cells`. made (1,) : cells made.
     """
 
     rectangle: Array
@@ -56,12 +57,12 @@ class Side(NamedTuple):
     cut: Index
     centre: Array
     radius: Array
-    count: Index
+    made: Index
 
 
 class Queue(NamedTuple):
     """A binary heap of pairs of cells: key (n,) orders them, then size (n,), smaller first, so that among pairs of one
-    time the finest comes first; until (n,) : proved apart to there; a, b (n,) : the cells. count (2,) : pairs waiting,
+    time the finest comes first; until (n,) : proved apart to there; a, b (n,) : the cells. tally (2,) : pairs waiting,
     pairs looked at."""
 
     key: Array
@@ -69,7 +70,7 @@ class Queue(NamedTuple):
     until: Array
     a: Index
     b: Index
-    count: Index
+    tally: Index
 
 
 class Trim(NamedTuple):
@@ -82,13 +83,6 @@ class Trim(NamedTuple):
     shifts: Array
     low: Array
     size: Array
-
-
-class Span(NamedTuple):
-    """The stretch of time [low, high] over which a side's motion from `first` to `last` runs."""
-
-    low: float
-    high: float
 
 
 # ---------------------------------------------------------------- cells
@@ -112,7 +106,7 @@ def fill(g0: Patch, g1: Patch, still: bool, trim: Trim, side: Side, start: int, 
     else:
         make_cells(g1, rectangle, on, last, sag_last, centre, radius, cut)
     side.child[start:end] = UNKNOWN
-    side.count[0] = end
+    side.made[0] = end
 
 
 @njit
@@ -121,7 +115,7 @@ def halve(g0: Patch, g1: Patch, still: bool, trim: Trim, side: Side, k: int) -> 
     if side.cut[k] == WHOLE:
         side.child[k] = NONE
         return False
-    n = side.count[0]
+    n = side.made[0]
     side.child[k] = n
     for c in range(4):
         side.rectangle[n, c] = side.rectangle[k, c]
@@ -156,8 +150,8 @@ def place(side: Side, k: int, time: Span, s: float, out: Array) -> float:
 @njit
 def push(queue: Queue, key: float, size: float, until: float, a: int, b: int) -> None:
     """Add a pair; there must be room."""
-    i = queue.count[0]
-    queue.count[0] += 1
+    i = queue.tally[0]
+    queue.tally[0] += 1
     while i > 0:
         j = (i - 1) // 2
         if queue.key[j] < key or (queue.key[j] == key and queue.size[j] <= size):
@@ -170,8 +164,8 @@ def push(queue: Queue, key: float, size: float, until: float, a: int, b: int) ->
 @njit
 def drop_first(queue: Queue) -> None:
     """Take the first pair away."""
-    n = queue.count[0] - 1
-    queue.count[0] = n
+    n = queue.tally[0] - 1
+    queue.tally[0] = n
     if n == 0:
         return
     key, size = queue.key[n], queue.size[n]
@@ -204,64 +198,6 @@ def move(queue: Queue, source: int, target: int) -> None:
     queue.a[target], queue.b[target] = queue.a[source], queue.b[source]
 
 
-# ---------------------------------------------------------------- boxes
-
-
-@njit
-def overlap(
-    a0: Array, a1: Array, at: Span, b0: Array, b1: Array, bt: Span, i: int, j: int, pad: float, s0: float, s1: float
-) -> float:
-    """When, from s0 to s1, the moving boxes a[i] and b[j] (rows of low and high corner) first come within pad;
-    infinite if never."""
-    enter, leave = s0, s1
-    fa0, fa1 = (s0 - at.low) / (at.high - at.low), (s1 - at.low) / (at.high - at.low)
-    fb0, fb1 = (s0 - bt.low) / (bt.high - bt.low), (s1 - bt.low) / (bt.high - bt.low)
-    for c in range(3):
-        for way in range(2):
-            # where the low side of one lies beyond the high side of the other
-            p, q = (c, 3 + c) if way == 0 else (3 + c, c)
-            x0, x1 = (1.0 - fa0) * a0[i, p] + fa0 * a1[i, p], (1.0 - fa1) * a0[i, p] + fa1 * a1[i, p]
-            y0, y1 = (1.0 - fb0) * b0[j, q] + fb0 * b1[j, q], (1.0 - fb1) * b0[j, q] + fb1 * b1[j, q]
-            g0, g1 = (y0 - x0, y1 - x1) if way == 0 else (x0 - y0, x1 - y1)
-            g0, g1 = g0 + pad, g1 + pad
-            if g0 < 0.0 and g1 < 0.0:
-                return np.inf
-            if g0 < 0.0:
-                enter = max(enter, s0 + (s1 - s0) * (g0 / (g0 - g1)))
-            elif g1 < 0.0:
-                leave = min(leave, s0 + (s1 - s0) * (g0 / (g0 - g1)))
-    # the ends are rounded: what just touches counts
-    return enter if enter <= leave + 1e-12 * (s1 - s0) else np.inf
-
-
-@njit
-def first_overlaps(
-    a0: Array, a1: Array, at: Span, b0: Array, b1: Array, bt: Span, pad: float, s0: float, s1: float
-) -> Array:
-    """`overlap` of every box of a (n, 6) with every one of b (m, 6): (n, m)."""
-    out = np.empty((len(a0), len(b0)))
-    for i in range(len(a0)):
-        for j in range(len(b0)):
-            t = overlap(a0, a1, at, b0, b1, bt, i, j, pad, s0, s1)
-            out[i, j] = max(s0, t - 1e-12 * (s1 - s0))
-    return out
-
-
-@njit
-def ball_overlap(
-    a0: Array, a1: Array, origin: Array, displacement: Array, radius: float, pad: float, s0: float
-) -> float:
-    """When, from s0 to 1, any box of a first comes within pad of the box around a ball that moves from origin at 0."""
-    b0, b1 = np.empty((1, 6)), np.empty((1, 6))
-    for c in range(3):
-        b0[0, c], b0[0, 3 + c] = origin[c] - radius, origin[c] + radius
-        b1[0, c], b1[0, 3 + c] = b0[0, c] + displacement[c], b0[0, 3 + c] + displacement[c]
-    whole, first = Span(0.0, 1.0), np.inf
-    for i in range(len(a0)):
-        first = min(first, overlap(a0, a1, whole, b0, b1, whole, i, 0, pad, s0, 1.0))
-    return first
-
-
 @njit
 def seed(
     g0: Patch, g1: Patch, a: Side, at: Span, h0: Patch, h1: Patch, b: Side, bt: Span,
@@ -269,7 +205,7 @@ def seed(
 ) -> int:  # fmt: skip
     """Fill the queue with the pairs of knot spans whose moving boxes meet from s0 to s1. Returns how many there are; where
     that is more than the queue holds, call again with a longer one."""
-    queue.count[0] = 0
+    queue.tally[0] = 0
     n = 0
     for i in range(len(g0.box)):
         if a.on[i] == OFF:
@@ -304,15 +240,15 @@ def advance(
     """
     p0, p1, q0, q1 = np.empty((4, 3)), np.empty((4, 3)), np.empty((4, 3)), np.empty((4, 3))
     d, best = np.empty((DIRECTIONS, 3)), np.empty(2)
-    while queue.count[0] > 0:
+    while queue.tally[0] > 0:
         s, i, j = queue.until[0], queue.a[0], queue.b[0]
         where[0], where[1] = i, j
-        if queue.count[1] >= budget:
+        if queue.tally[1] >= budget:
             found[0], found[1] = earliest(queue), np.inf
             return SPENT
-        if queue.count[0] + 2 > len(queue.key) or a.count[0] + 2 > len(a.child) or b.count[0] + 2 > len(b.child):
+        if queue.tally[0] + 2 > len(queue.key) or a.made[0] + 2 > len(a.child) or b.made[0] + 2 > len(b.child):
             return ROOM
-        queue.count[1] += 1
+        queue.tally[1] += 1
         sag_a, sag_b = place(a, i, at, s, p0), place(b, j, bt, s, q0)
         last_a, last_b = place(a, i, at, s1, p1), place(b, j, bt, s1, q1)
         thick0, thick1 = sag_a + sag_b + pad, last_a + last_b + pad
@@ -375,7 +311,7 @@ def advance(
 def earliest(queue: Queue) -> float:
     """The time until which every pair is apart."""
     least = np.inf
-    for k in range(queue.count[0]):
+    for k in range(queue.tally[0]):
         least = min(least, queue.until[k])
     return least
 

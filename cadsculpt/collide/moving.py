@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from ..errors import GeometryError, InputError
 from ..motion.motion import Motion
 from ..spline.region import Region
-from .advance import Queue, Side, Span, Trim, fill
+from .advance import Queue, Side, Trim, fill
 from .cells import span_rectangles
 from .grid import PatchGrid
 from .query import extents_of
+from .swept_boxes import Span
 from .workspace import Patch, Workspace
 
 Array = NDArray[np.float64]
@@ -84,7 +85,7 @@ def _side(room: int) -> Side:
     return Side(
         rectangle=np.empty((room, 4)), first=np.empty((room, 4, 3)), last=np.empty((room, 4, 3)),
         sag_first=np.empty(room), sag_last=np.empty(room), child=integers(room), on=integers(room), cut=integers(room),
-        centre=np.empty((room, 3)), radius=np.empty(room), count=integers(1),
+        centre=np.empty((room, 3)), radius=np.empty(room), made=integers(1),
     )  # fmt: skip
 
 
@@ -154,7 +155,7 @@ class SweepCache:
 
     covers: dict[tuple[int, int], Cover] = field(default_factory=dict)
     queue: Queue = field(default_factory=lambda: _queue(1024))
-    _extents: dict[tuple[int, int], tuple[Array, Array]] = field(default_factory=dict)
+    _frame: tuple[tuple[Array, ...], Array, float] | None = None
 
     def cover(self, body: int, face: int, grid: PatchGrid) -> Cover:
         """The cells of one patch: body 0 is the first, 1 the second."""
@@ -172,17 +173,16 @@ class SweepCache:
 
     def frame_box(self, body: RigidPatches) -> tuple[Array, float]:
         """Low and high corner (2, 3) of a rigid tool in its own frame, and the radius around its origin that holds it."""
-        key = (1, -1)
-        known = self._extents.get(key)
+        known = self._frame
         # only what nobody can change is taken as known
         if known is None or known[0] is not body.nets or any(net.flags.writeable for net in body.nets):
             for grid, net in zip(body.grids, body.nets, strict=True):
                 check_net(grid, net, "tool")
             boxes = extents_of(body.nets, "tool")
             radius = max(float(np.sqrt((net * net).sum(axis=2).max())) for net in body.nets)
-            self._extents[key] = known = (body.nets, np.array([*boxes[:, 0].min(0), *boxes[:, 1].max(0), radius]))
-        corners = known[1]
-        return corners[:6].reshape(2, 3), float(corners[6])
+            known = (body.nets, np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)]), radius)
+            self._frame = known
+        return known[1], known[2]
 
 
 def flat_boxes(nets: tuple[Array, ...], whose: str) -> Array:

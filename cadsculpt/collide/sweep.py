@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..motion.motion import Motion
 from ..spline.surface import BSplineSurface
-from .advance import CLEAR, CONTACT, ROOM, SPENT, Span, advance, ball_overlap, first_overlaps, seed
+from .advance import CLEAR, CONTACT, ROOM, SPENT, advance, seed
 from .grid import PatchGrid
 from .moving import (
     Cover,
@@ -34,6 +34,7 @@ from .moving import (
     swept_box,
 )
 from .sweep_field import against_field
+from .swept_boxes import Span, ball_overlap, first_overlaps
 
 __all__ = [
     "MovingField",
@@ -101,8 +102,8 @@ def first_contact(
     for grid, net0, net1 in zip(a.grids, a.start, a.end, strict=True):
         check_net(grid, net0, "model")
         check_net(grid, net1, "model")
-    boxes = flat_boxes(a.start, "model")
-    boxes = boxes, boxes if a.start is a.end else flat_boxes(a.end, "model")
+    first = flat_boxes(a.start, "model")
+    boxes = first, first if a.start is a.end else flat_boxes(a.end, "model")
     if isinstance(b, MovingField):
         return _of_field(a, boxes, b, tolerance, start, budget, cache)
     if isinstance(b, MovingPoint):
@@ -136,7 +137,10 @@ def _of_rigid(
         return None
     search = _Search(a, boxes, b.grids, cache, budget)
     nets: dict[float, tuple[Array, ...]] = {}
-    t, length = start, 1.0 - start
+    t, length, angle = start, 1.0 - start, b.motion.angle
+    if angle > 0.0 and radius > 0.0:
+        # no longer than a radian, where arcs are an eighth of the radius off; and the longest whose arcs are fine
+        length, finest = min(length, 1.0 / angle), float(np.sqrt(8.0 * FINE_PART * tolerance / radius)) / angle
     while t < 1.0:
         # far away all the time that is left?
         low, high, pad = swept_box(b.motion, box, radius, t, 1.0)
@@ -162,7 +166,8 @@ def _of_rigid(
         if fine or found.exhausted:
             return found
         # something may be there: on from what is proved, in shorter pieces
-        t, length = max(t, found.low), 0.25 * (end - t)
+        length = 0.25 * (end - t) if found.low > t else 0.99 * finest
+        t = max(t, found.low)
     return None
 
 
@@ -257,7 +262,7 @@ class _Search:
             if count <= len(cache.queue.key):
                 break
             cache.grow_queue(2 * count)
-        cache.queue.count[1] = 0
+        cache.queue.tally[1] = 0
         found, where = np.empty(2), np.zeros(2, np.int64)
         while True:
             answer = advance(
@@ -266,12 +271,12 @@ class _Search:
             )  # fmt: skip
             if answer != ROOM:
                 break
-            if cache.queue.count[0] + 2 > len(cache.queue.key):
+            if cache.queue.tally[0] + 2 > len(cache.queue.key):
                 cache.grow_queue(0)
             for cover in (a, b):
-                if cover.side.count[0] + 2 > len(cover.side.child):
+                if cover.side.made[0] + 2 > len(cover.side.child):
                     cover.grow()
-        self.budget -= int(cache.queue.count[1])
+        self.budget -= int(cache.queue.tally[1])
         if answer == CLEAR:
             return None
         low, high = float(found[0]), float(found[1])

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..spline.region import MIXED, OFF
-from .advance import Span, first_overlaps
 from .cells import make_cells, quarters
 from .moving import Cover, MovingField
+from .swept_boxes import Span, first_overlaps
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -194,8 +194,9 @@ def _look(
         touch[may] = (tool.shape.field(places)[0].reshape(-1, 4) <= near).any(axis=1)
     clear = until >= 1.0
     again = ~touch & ~clear & (until > s) & (small | (gap > NEAR * reach))
-    finer = ~touch & ~clear & ~again
-    return touch & ~clear, until, again, finer & ~small
+    # no finer, and clear for less than a time can tell: as good as touching
+    touch |= ~again & ~clear & small
+    return touch & ~clear, until, again, ~touch & ~clear & ~again
 
 
 def _part(gap: Array, speed: Array) -> Array:
