@@ -200,20 +200,22 @@ def move(queue: Queue, source: int, target: int) -> None:
 
 @njit
 def seed(
-    g0: Patch, g1: Patch, a: Side, at: Span, h0: Patch, h1: Patch, b: Side, bt: Span,
+    a0: Array, a1: Array, on_a: Index, at: Span, b0: Array, b1: Array, on_b: Index, bt: Span,
     pad: float, s0: float, s1: float, step: float, queue: Queue,
 ) -> int:  # fmt: skip
-    """Fill the queue with the pairs of knot spans whose moving boxes meet from s0 to s1. Returns how many there are; where
-    that is more than the queue holds, call again with a longer one."""
+    """Fill the queue with the pairs of knot spans whose moving boxes (rows of a0 to a1, of b0 to b1) meet from s0 to s1.
+
+    Returns how many there are; where that is more than the queue holds, call again with a longer one.
+    """
     queue.tally[0] = 0
     n = 0
-    for i in range(len(g0.box)):
-        if a.on[i] == OFF:
+    for i in range(len(a0)):
+        if on_a[i] == OFF:
             continue
-        for j in range(len(h0.box)):
-            if b.on[j] == OFF:
+        for j in range(len(b0)):
+            if on_b[j] == OFF:
                 continue
-            t = overlap(g0.box, g1.box, at, h0.box, h1.box, bt, i, j, pad, s0, s1)
+            t = overlap(a0, a1, at, b0, b1, bt, i, j, pad, s0, s1)
             if t < s1:
                 n += 1
                 if n <= len(queue.key):

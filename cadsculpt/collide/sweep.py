@@ -257,7 +257,8 @@ class _Search:
         step = near / (8.0 * speed) if speed > 0.0 else 1.0
         while True:
             count = seed(
-                a.first, a.last, a.side, a.time, b.first, b.last, b.side, b.time, pad, s0, s1, step, cache.queue
+                a.first.box, a.last.box, a.side.on, a.time, b.first.box, b.last.box, b.side.on, b.time,
+                pad, s0, s1, step, cache.queue,
             )  # fmt: skip
             if count <= len(cache.queue.key):
                 break
