@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from truth_solids import SHAPES, SURFACES, Solid, ball, cube, random_closed, random_implicit, random_turn, ring
+from truth_solids import SHAPES, SURFACES, ball, cube, random_closed, random_implicit, random_turn, ring
 from truth_surfaces import deformed, points_at, points_on, random_surface
 from truth_trims import KINDS, Face, trimmed, whole
 
@@ -142,9 +142,13 @@ def random_model(rng: np.random.Generator) -> Model:
     """A surface of any kind, in a third of the cases trimmed; or an exact ball, ring or cube."""
     resolution = int(rng.integers(3, 40)), int(rng.integers(3, 40))
     if rng.random() < 0.25:
-        name = str(rng.choice(SURFACES))
+        name = str(rng.choice(["ball", "cube", "ring"]))
         size = rng.uniform(2, 6)
-        patches = {"ball": lambda: [ball(size)], "cube": lambda: cube(2 * size), "ring": lambda: [ring(size, 0.4 * size)]}
+        patches = {
+            "ball": lambda: [ball(size)],
+            "cube": lambda: cube(2 * size),
+            "ring": lambda: [ring(size, 0.4 * size)],
+        }
         depth: dict[str, Depth] = {
             "ball": lambda x: size - np.linalg.norm(x, axis=1),
             "cube": lambda x: size - np.abs(x).max(axis=1),
@@ -208,7 +212,11 @@ def aim(rng: np.random.Generator, model: Model) -> tuple[int, float, float, Arra
 
 
 def deepest_point(
-    rng: np.random.Generator, model: Model, place: tuple[int, float, float, Array, Array, Array, Array], reach: float, f: Depth
+    rng: np.random.Generator,
+    model: Model,
+    place: tuple[int, float, float, Array, Array, Array, Array],
+    reach: float,
+    f: Depth,
 ) -> float:
     """The largest value of f over samples surely on the model: all of them, and finer ones within `reach` of a place."""
     best = -np.inf
@@ -218,7 +226,10 @@ def deepest_point(
             best = max(best, float(f(points[on]).max()))
     k, u0, v0, _, s_u, s_v, _ = place
     around = []
-    for t, speed, (low, high) in ((u0, s_u, model.faces[k].surface.domain[0]), (v0, s_v, model.faces[k].surface.domain[1])):
+    for t, speed, (low, high) in (
+        (u0, s_u, model.faces[k].surface.domain[0]),
+        (v0, s_v, model.faces[k].surface.domain[1]),
+    ):
         half = min(reach / max(float(np.linalg.norm(speed)), 1e-12), high - low)
         around.append(jittered(rng, max(low, t - half), min(high, t + half), LOCAL))
     points, on = model.sampled(k, *around)

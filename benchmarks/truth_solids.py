@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from cadsculpt.collide.detect import FieldTool, PatchGrid, SurfaceTool
 from cadsculpt.motion.pose import Pose
-from cadsculpt.spline.surface import BSplineSurface
+from cadsculpt.spline.surface import BSplineSurface, TrimCurve, TrimLoop
 from cadsculpt.tools.implicit import ImplicitTool
 
 Array = NDArray[np.float64]
 
 SHAPES = ("sphere", "ellipsoid", "capsule", "cylinder", "cone", "box", "torus", "half_space")
-SURFACES = ("ball", "cube", "ring")
+SURFACES = ("ball", "cube", "ring", "bracket")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,15 +90,19 @@ def rounded(x: Array, half: Array, rho: float) -> Array:
 
 
 def random_closed(rng: np.random.Generator, name: str, size: float) -> Solid:
-    """The same from B-spline patches: an exact ball (poles), a cube (six faces), an exact torus (closed both ways)."""
+    """The same from B-spline patches: an exact ball (poles), a cube (six faces), an exact torus (closed both ways), an
+    angle bracket (trimmed faces of planes that run on through it)."""
     radius, minor = 0.5 * size, 0.15 * size
-    patches = {"ball": lambda: [ball(radius)], "cube": lambda: cube(size), "ring": lambda: [ring(radius, minor)]}[name]()
-    resolution = {"ball": (25, 13), "cube": (5, 5), "ring": (33, 17)}[name]
+    patches = {"ball": lambda: [ball(radius)], "cube": lambda: cube(size), "ring": lambda: [ring(radius, minor)]}
+    patches["bracket"] = lambda: bracket(size)
+    patches = patches[name]()
+    resolution = {"ball": (25, 13), "cube": (5, 5), "ring": (33, 17), "bracket": (9, 9)}[name]
     grids = tuple(PatchGrid.of(patch, resolution) for patch in patches)
     depth: Callable[[Array], Array] = {
         "ball": lambda x: radius - np.linalg.norm(x, axis=1),
         "cube": lambda x: radius - np.abs(x).max(axis=1),
         "ring": lambda x: minor - np.hypot(np.hypot(x[:, 0], x[:, 1]) - radius, x[:, 2]),
+        "bracket": lambda x: in_bracket(x, size),
     }[name]
 
     def placed(pose: Pose) -> SurfaceTool:
@@ -106,7 +110,7 @@ def random_closed(rng: np.random.Generator, name: str, size: float) -> Solid:
             grids, tuple(np.ascontiguousarray(pose.to_world(grid.surface.control_points)) for grid in grids)
         )
 
-    anchor = np.array([radius, 0, 0]) if name == "ring" else np.zeros(3)
+    anchor = {"ring": np.array([radius, 0, 0]), "bracket": np.array([0.25, 0.25, 0.25]) * size}.get(name, np.zeros(3))
     return Solid(name, depth, anchor, size, placed)
 
 
@@ -142,6 +146,41 @@ def cube(size: float) -> list[BSplineSurface]:
             net = np.array([[side * n - u - v, side * n - u + v], [side * n + u - v, side * n + u + v]])
             faces.append(BSplineSurface(net, knots, knots, 1, 1))
     return faces
+
+
+BRACKET = np.array([[0, 0], [1, 0], [1, 0.5], [0.5, 0.5], [0.5, 1], [0, 1.0]])
+"""Profile of the bracket of size 1; its height is a half."""
+
+
+def bracket(size: float) -> list[BSplineSurface]:
+    """An L of eight planar faces. Each is cut out of a larger plane, and two of these planes run on through the body."""
+    knots, faces = np.array([0.0, 0, 1, 1]), []
+    wide, long = np.array([-0.4, 1.5]), np.array([-0.7, 1.9])
+
+    def planar(origin: Array, a: Array, b: Array, corners: Array) -> BSplineSurface:
+        """The part within corners (k, 2), in a and b from the origin."""
+        net = np.array([[origin + x * a + y * b for y in long] for x in wide])
+        uv = (corners - [wide[0], long[0]]) / [np.ptp(wide), np.ptp(long)]
+        loop = tuple(TrimCurve(np.array([p, q]), knots, 1) for p, q in zip(uv, np.roll(uv, -1, axis=0), strict=True))
+        return BSplineSurface(size * net, knots, knots, 1, 1, trims=(TrimLoop(loop),))
+
+    x, y, z = np.eye(3)
+    faces.append(planar(np.zeros(3), y, x, BRACKET[:, ::-1]))
+    faces.append(planar(0.5 * z, x, y, BRACKET))
+    for p, q in zip(BRACKET, np.roll(BRACKET, -1, axis=0), strict=True):
+        along = np.array([*(q - p), 0.0])
+        corners = np.array([[0, 0], [1, 0], [1, 0.5], [0, 0.5]])
+        faces.append(planar(np.array([*p, 0.0]), along, z, corners))
+    return faces
+
+
+def in_bracket(x: Array, size: float) -> Array:
+    """Depth in one of the two boxes whose union it is."""
+
+    def box(low: list[float], high: list[float]) -> Array:
+        return np.minimum(x - size * np.array(low), size * np.array(high) - x).min(axis=1)
+
+    return np.maximum(box([0, 0, 0], [1, 0.5, 0.5]), box([0, 0, 0], [0.5, 1, 0.5]))
 
 
 def random_turn(rng: np.random.Generator) -> Array:

@@ -37,8 +37,9 @@ def random_direction(rng: np.random.Generator, most_degree: int = MOST_DEGREE, m
     inner = [np.repeat(b, rng.integers(1, degree + 1) if rng.random() < 0.3 else 1) for b in breaks[1:-1]]
     start, scale = rng.uniform(-5, 5), 10.0 ** rng.uniform(-2, 3)
     if kind == "periodic":
-        # at least degree + 1 intervals a period, so that the unrolled rows are the first ones again
-        lacking = degree + 1 - sum(map(len, inner)) - 1
+        # at least degree + 1 intervals a period, so that the unrolled rows are the first ones again; and three, for two
+        # make a sheet that lies on itself
+        lacking = max(degree + 1, 3) - sum(map(len, inner)) - 1
         if lacking > 0:
             inner.append(rng.uniform(breaks[0], breaks[-1], lacking))
         period = np.sort(np.concatenate([breaks[:1], *inner]))

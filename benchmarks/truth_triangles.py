@@ -88,7 +88,9 @@ def tri_tri_truth(pairs: int = 1_000_000, seed: int = 2) -> dict[str, object]:
         "tri_tri_degenerate": tested - half,
         "tri_tri_checks": 5 * tested,
         "tri_tri_by_integers": exact,
-        "tri_tri_kinds": dict(zip(("disjoint", "touching", "crossing", "coplanar_overlap"), kinds.tolist(), strict=True)),
+        "tri_tri_kinds": dict(
+            zip(("disjoint", "touching", "crossing", "coplanar_overlap"), kinds.tolist(), strict=True)
+        ),
     }
 
 
@@ -173,7 +175,8 @@ def ends_apart(a: Array, b: Array) -> Array:
 def relations(t: Array, *, integral: bool) -> tuple[Index, int]:
     """The true relations (n,) of pairs (n, 6, 3), and how many of them took Python's integers."""
     if integral:
-        assert np.abs(t).max() <= LATTICE and (t == np.rint(t)).all()
+        assert np.abs(t).max() <= LATTICE
+        assert (t == np.rint(t)).all()
         return np.asarray(axes_of_integers(t.astype(np.int64))), 0
     found = axes_of_doubles(np.ascontiguousarray(t))
     unsure = np.flatnonzero(found == UNSURE)
@@ -219,7 +222,10 @@ def relation_of_integers(t: Any) -> int:
     proper = True
     for k, axis in enumerate(axes):
         low, high = zip(
-            *(((d := [x[0] * axis[0] + x[1] * axis[1] + x[2] * axis[2] for x in s]), (min(d), max(d)))[1] for s in (p, q)),
+            *(
+                ((d := [x[0] * axis[0] + x[1] * axis[1] + x[2] * axis[2] for x in s]), (min(d), max(d)))[1]
+                for s in (p, q)
+            ),
             strict=True,
         )
         if high[0] < low[1] or high[1] < low[0]:

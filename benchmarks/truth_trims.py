@@ -90,7 +90,9 @@ def polygon(corners: list[tuple[float, float]], corner: Array, span: Array) -> T
     return TrimLoop(tuple(TrimCurve(np.array([a, b]), line, 1) for a, b in zip(ends, ends[1:] + ends[:1], strict=True)))
 
 
-def union_value(pieces: list[Array], part: Callable[[Array, Array], tuple[Array, Array]]) -> Callable[[Array, Array], Array]:
+def union_value(
+    pieces: list[Array], part: Callable[[Array, Array], tuple[Array, Array]]
+) -> Callable[[Array, Array], Array]:
     """Distance inside convex counterclockwise polygons: positive in one of them."""
 
     def value(u: Array, v: Array) -> Array:

@@ -82,14 +82,11 @@ def parted(points_p: Array, tri_p: Index, plane: Array, p: int, points_q: Array,
 
 @njit
 def crossing_triangles(
-    points_a: Array, inside_a: Mask, tri_a: Index, first_a: Index, box_a: Array,
-    points_b: Array, inside_b: Mask, tri_b: Index, first_b: Index, box_b: Array, pairs: Index,
+    points_a: Array, tri_a: Index, first_a: Index, box_a: Array,
+    points_b: Array, tri_b: Index, first_b: Index, box_b: Array, pairs: Index,
 ) -> tuple[Index, Array, int]:  # fmt: skip
     """The triangles that meet, over the pairs (k, 2) of cells: (n, 3) triangle of a, of b, relation; segments
-    (n, 6); and the number of pairs of triangles tested.
-
-    Triangles without a vertex on the trimmed face are left out.
-    """
+    (n, 6); and the number of pairs of triangles tested."""
     plane_a, plane_b = planes(points_a, tri_a), planes(points_b, tri_b)
     found = np.empty((64, 3), np.int64)
     segments = np.empty((64, 6))
@@ -104,11 +101,7 @@ def crossing_triangles(
         ):  # fmt: skip
             continue
         for s in range(first_a[c], first_a[c + 1]):
-            if not (inside_a[tri_a[s, 0]] or inside_a[tri_a[s, 1]] or inside_a[tri_a[s, 2]]):
-                continue
             for t in range(first_b[d], first_b[d + 1]):
-                if not (inside_b[tri_b[t, 0]] or inside_b[tri_b[t, 1]] or inside_b[tri_b[t, 2]]):
-                    continue
                 tests += 1
                 if parted(points_b, tri_b, plane_b, t, points_a, tri_a, s):
                     continue

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from . import hull, levels, quadrature
 from .contacts import Contacts
-from .query import DistanceField, FieldTool, Run, finest_size, on_face
+from .query import DistanceField, FieldTool, Run, finest_size
 from .workspace import Patch, Workspace
 
 Array = NDArray[np.float64]
@@ -39,10 +39,9 @@ def field_contacts(run: Run, index: int, tool: FieldTool) -> list[Contacts]:
         # cells that the tool may reach between the vertices, away from those it is known to touch
         left = quadrature.unresolved(g, cells, margin, names, depth, work.new_mark())
         if len(left):
-            uv, points, area = quadrature.below_grid(g, left, tool.field.distance, margin, finest_size(run, g))
-            on = on_face(run.grids[face], uv)
-            if on.any():
-                uv, points, area = uv[on], points[on], area[on]
+            region = run.grids[face].region
+            uv, points, area = quadrature.below_grid(g, left, tool.field.distance, margin, finest_size(run, g), region)
+            if len(uv):
                 depth = -tool.field.distance(points)
                 parts.append(_field_rows(run, index, int(face), tool.field, uv, points, depth, area))
     return parts

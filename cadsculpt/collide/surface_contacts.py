@@ -13,8 +13,9 @@ from .closest import project
 from .contacts import Contacts
 from .crossing import cell_boxes, crossing_triangles, overlapping
 from .grid import PatchGrid
-from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V
+from .newton import BORDER, DISTANCE, NORMAL, POINT, PROPER, U, V
 from .query import Crossings, Run, SurfaceTool, extents_of, finest_size, on_face
+from .rim import closest_on_faces, faces_box, outside_box
 from .triangulate import triangulate
 from .workspace import Patch, Workspace, make_points
 
@@ -143,9 +144,7 @@ def _crossings(
     near = overlapping(box_a, _sags(g, mine), box_b, _sags(h, its), pairs, reach)
     pairs = pairs[near]
     left = mine if run.paper else mine[np.unique(pairs[:, 0])]
-    found, segments, tests = crossing_triangles(
-        g.points, g.inside, tri_a, first_a, box_a, h.points, h.inside, tri_b, first_b, box_b, pairs
-    )
+    found, segments, tests = crossing_triangles(g.points, tri_a, first_a, box_a, h.points, tri_b, first_b, box_b, pairs)
     g.counters[5:8] += np.array([len(tri_a) + len(tri_b), tests, len(found)])
     if not len(found):
         return left, []
@@ -192,15 +191,16 @@ def _closest_contacts(
     if run.paper or not cells:
         return parts
     left = quadrature.unresolved(g, np.concatenate(cells), margin, names, -nearest.gap, work.new_mark())
+    # a cell near several patches of the tool comes once from each
+    left = np.unique(left, axis=0)
     if len(left):
 
         def distance(points: Array) -> Array:
             return _nearest(solid, points, np.arange(len(points) + 1)).gap
 
-        uv, points, area = quadrature.below_grid(g, left, distance, margin, finest_size(run, g))
-        on = on_face(run.grids[face], uv)
-        if on.any():
-            uv, points, area = uv[on], points[on], area[on]
+        region = run.grids[face].region
+        uv, points, area = quadrature.below_grid(g, left, distance, margin, finest_size(run, g), region)
+        if len(uv):
             touch = _nearest(solid, points, np.arange(len(points) + 1))
             parts.append(_rows(run, index, face, uv, points, area, touch))
     return parts
@@ -253,9 +253,11 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
     """The closest points of all patches of a tool, and on which side of it the points lie.
 
     At the common edge of two patches the sum of their normals tells the sides apart (Baerentzen and Aanaes 2005). A
-    point beyond an open border, or whose closest point has been trimmed away, is on no side. rough : points outside by
-    more than the margin need no exact distance.
+    point beyond an open border is on no side. rough : points outside by more than the margin need no exact distance.
     """
+    # (what has been trimmed away tells no side, and only an exact foot tells what has)
+    trimmed = any(grid.region is not None for grid in solid.grids)
+    rough = rough and not trimmed
     best = np.full((len(points), 9), np.inf)
     state, owner = np.zeros(len(points), np.int64), np.full(len(points), -1, dtype=np.int64)
     beyond = 1.1 * solid.margin + 1e-300 if rough else np.inf
@@ -266,6 +268,16 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
         order = np.argsort(np.maximum(away, 0.0).max(axis=1), kind="stable")
     for k in order.tolist():
         project(solid.patches[k], points, group, solid.tie, beyond, k, best, state, owner)
+    if trimmed:
+        off = np.flatnonzero(~_on_faces(solid, best, owner))
+        # what is outside the box of the faces is outside of them
+        away = outside_box(faces_box(solid.grids, solid.patches), points[off]) if len(off) else np.zeros(0)
+        clear = away > solid.margin
+        best[off[clear], DISTANCE] = np.maximum(best[off[clear], DISTANCE], away[clear])
+        state[off[clear]] = BORDER
+        off = off[~clear]
+        if len(off):
+            best[off], state[off], owner[off] = closest_on_faces(solid.grids, solid.patches, points[off], solid.tie)
     arm = points - best[:, POINT : POINT + 3]
     total = best[:, NORMAL : NORMAL + 3]
     length = np.sqrt(np.einsum("ij,ij->i", total, total))
@@ -278,11 +290,16 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
         if over_edge.any():
             normal[over_edge] = side[over_edge, None] * arm[over_edge] / distance[over_edge, None]
     sided = state == PROPER
-    for k, grid in enumerate(solid.grids):
-        if grid.inside is not None:
-            # what is clear of the tool is so with or without its trimmed parts
-            mine = np.flatnonzero((owner == k) & sided & (side * distance <= solid.margin))
-            sided[mine[~on_face(grid, best[mine][:, [U, V]])]] = False
     depth = np.where(sided, -side * distance, -np.inf)
     gap = np.where(sided, side * distance, np.maximum(distance, (1 + 1e-9) * solid.margin + 1e-300))
     return _Nearest(depth, gap, normal, best[:, POINT : POINT + 3], owner, best[:, [U, V]])
+
+
+def _on_faces(solid: _Solid, best: Array, owner: Index) -> Mask:
+    """Which closest points lie on their patches' trimmed faces."""
+    out = np.ones(len(best), np.bool_)
+    for k, grid in enumerate(solid.grids):
+        if grid.region is not None:
+            mine = np.flatnonzero(owner == k)
+            out[mine] = on_face(grid, best[mine][:, [U, V]])
+    return out
