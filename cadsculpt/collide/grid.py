@@ -66,8 +66,10 @@ class PatchGrid:
         """The grid with about `resolution` rows and columns (or (rows, columns)) over the face, at least one cell per
         span.
 
-        Raises GeometryError when the trimmed face is so small that no vertex lies on it, or the resolution is below 2.
+        Raises GeometryError when the surface is none (`validate`), when the trimmed face is so small that no vertex lies
+        on it, or when the resolution is below 2.
         """
+        surface.validate()
         rows, columns = (resolution, resolution) if isinstance(resolution, int) else resolution
         if min(rows, columns) < 2:
             raise GeometryError(f"a collision resolution of {min(rows, columns)}", mend="2 rows are one cell")
