@@ -1,8 +1,9 @@
 """Cells of a patch below any grid: the pieces of surface that certified distance and continuous collision refine.
 
 A cell is a rectangle in (u, v) inside one knot span. The surface over it lies within `sag` of the hull of its four
-corners (`spline.bounds`: of their bilinear patch, which the hull holds), rational surfaces too, so what is proved of
-four points, grown by the sag, is proved of the surface; the sag falls with the square of the cell's size.
+corners, rational surfaces too, so what is proved of four points, grown by the sag, is proved of the surface; the sag
+falls with the square of the cell's size. It comes from the cell's own Bezier net, not from bounds over the whole knot
+span as in `spheres`: below the grid the surface bends as it does here, not as it does at its worst.
 """
 
 from __future__ import annotations
@@ -13,16 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit
-from ..spline.basis import basis_functions
-from ..spline.bounds import S_UU, S_VV, span_bounds
-from ..spline.region import OFF, Region
+from ..spline.region import OFF, ON, Region
 from .workspace import Patch
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-SAG_ROUNDING = 1.0 + 1e-9
-"""Outward rounding of a sag, on top of the rounding of its corners."""
+ROUNDED_UP = 1.0 + 1e-9
+"""Outward rounding of a length, on top of the rounding of the points it is between."""
+
+STRAIGHT = 0.02
+"""What the length of a cell counts against its bulge where it is decided which way to cut it."""
 
 ACROSS_U, ACROSS_V, WHOLE = 0, 1, 2
 """A cell is cut at its middle u or its middle v; or it is so narrow that rounding is all that cutting would find."""
@@ -51,16 +53,22 @@ class Cells(NamedTuple):
 
 def cells_of(g: Patch, region: Region | None, rectangle: Array) -> Cells:
     """The cells over rectangles (n, 4), each inside one knot span; those wholly off the face are left out."""
+    return kept_cells(g, region, rectangle)[0]
+
+
+def kept_cells(g: Patch, region: Region | None, rectangle: Array) -> tuple[Cells, Index]:
+    """As `cells_of`, with the places (m,) of the rectangles that hold a piece of the face."""
     rectangle = np.ascontiguousarray(rectangle, dtype=np.float64)
-    on = np.ones(len(rectangle), np.int64)
+    kept, on = np.arange(len(rectangle)), np.full(len(rectangle), ON)
     if region is not None:
         on = region.classify(rectangle)
-        if (on == OFF).any():
-            rectangle, on = rectangle[on != OFF], on[on != OFF]
+        kept = np.flatnonzero(on != OFF)
+        rectangle, on = rectangle[kept], on[kept]
     n = len(rectangle)
-    out = Cells(rectangle, np.empty((n, 4, 3)), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty(n, np.int64), on)
-    make_cells(g, rectangle, out.corners, out.sag, out.centre, out.radius, out.cut)
-    return out
+    corners, sag, centre, radius = np.empty((n, 4, 3)), np.empty(n), np.empty((n, 3)), np.empty(n)
+    cut = np.empty(n, np.int64)
+    make_cells(g, rectangle, on, corners, sag, centre, radius, cut)
+    return Cells(rectangle, corners, sag, centre, radius, cut, on), kept
 
 
 def span_rectangles(g: Patch) -> Array:
@@ -71,7 +79,7 @@ def span_rectangles(g: Patch) -> Array:
 
 
 def halves(cells: Cells) -> tuple[Array, Index]:
-    """Both halves (m, 4) of every cell across its longer side in space, and the cell (m,) that each is of.
+    """Both halves (m, 4) of every cell, across the way that bends most, and the cell (m,) that each is of.
 
     A cell too narrow to be cut is its own only child.
     """
@@ -98,14 +106,18 @@ def quarters(rectangle: Array) -> Array:
 
 @njit
 def make_cells(
-    g: Patch, rectangle: Array, corners: Array, sag: Array, centre: Array, radius: Array, cut: Index
+    g: Patch, rectangle: Array, on: Index, corners: Array, sag: Array, centre: Array, radius: Array, cut: Index
 ) -> None:
-    """Corners, sag, sphere and cut of the cells over rectangles (n, 4); the fields are those of `Cells`."""
-    order_u, order_v = g.degree_u + 1, g.degree_v + 1
-    basis_u, basis_v = np.empty((2, order_u)), np.empty((2, order_v))
-    half = np.empty((2, order_v, 4))
-    # corners and derivative nets are both rounded: the second differences carry the square of the degree
-    rounding = 2.0 * g.slack * (1.0 + (g.degree_u * g.degree_u + g.degree_v * g.degree_v) / 256.0)
+    """Corners, sag, sphere and cut of the cells over rectangles (n, 4); the fields are those of `Cells`.
+
+    All from the Bezier net of the surface over the rectangle: the surface lies in the hull of its points, and each of
+    them lies near the corners' bilinear patch at (i / p, j / q), where it would be if nothing were bent.
+    """
+    p, q = g.degree_u, g.degree_v
+    to_u, to_v = np.empty((p + 1, p + 1)), np.empty((q + 1, q + 1))
+    row = np.empty((max(p, q) + 1, max(p, q) + 1))
+    half, net = np.empty((p + 1, q + 1, 4)), np.empty((p + 1, q + 1, 4))
+    rounding = g.slack * (2.0 + 0.125 * (p + q))
     least_u = NARROW * (g.u[len(g.u) - 1] - g.u[0])
     least_v = NARROW * (g.v[len(g.v) - 1] - g.v[0])
     for t in range(len(rectangle)):
@@ -113,71 +125,89 @@ def make_cells(
         a = span_holding(g.u, g.row_u, g.tally[0, 0], 0.5 * (u0 + u1))
         b = span_holding(g.v, g.row_v, g.tally[0, 1], 0.5 * (v0 + v1))
         i0, j0 = g.first_u[g.row_u[0, a]], g.first_v[g.row_v[0, b]]
-        if g.bounds_stamp[a, b] != g.tick:
-            g.bounds_stamp[a, b] = g.tick
-            span_bounds(
-                g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, i0, j0, g.rational, g.bounds[a, b]
-            )  # fmt: skip
-        for k in range(2):
-            basis_functions(g.knots_u, g.degree_u, i0 + g.degree_u, u1 if k else u0, basis_u[k])
-            basis_functions(g.knots_v, g.degree_v, j0 + g.degree_v, v1 if k else v0, basis_v[k])
-            for f in range(order_v):
+        to_bezier(g.knots_u, p, i0 + p, u0, u1, to_u, row)
+        to_bezier(g.knots_v, q, j0 + q, v0, v1, to_v, row)
+        for i in range(p + 1):
+            for f in range(q + 1):
                 for c in range(4):
                     x = 0.0
-                    for e in range(order_u):
-                        x += basis_u[k, e] * g.net[i0 + e, j0 + f, c]
-                    half[k, f, c] = x
-        for k in range(4):
-            x, y, z, w = 0.0, 0.0, 0.0, 0.0
-            for f in range(order_v):
-                e = basis_v[k >> 1, f]
-                x += e * half[k & 1, f, 0]
-                y += e * half[k & 1, f, 1]
-                z += e * half[k & 1, f, 2]
-                w += e * half[k & 1, f, 3]
-            if g.rational:
-                x, y, z = x / w, y / w, z / w
-            corners[t, k, 0], corners[t, k, 1], corners[t, k, 2] = x, y, z
-        hu, hv = u1 - u0, v1 - v0
-        sag_u, sag_v = hu * hu * g.bounds[a, b, S_UU] / 8.0, hv * hv * g.bounds[a, b, S_VV] / 8.0
-        sag[t] = (sag_u + sag_v) * SAG_ROUNDING + rounding
-        # the longer way: over the longer of two opposite edges, and the bulge, all there is of a closed or polar edge
-        way_u = max(edge(corners, t, 0, 1), edge(corners, t, 2, 3)) + sag_u
-        way_v = max(edge(corners, t, 0, 2), edge(corners, t, 1, 3)) + sag_v
-        if hu > least_u and (way_u >= way_v or hv <= least_v):
+                    for e in range(p + 1):
+                        x += to_u[i, e] * g.net[i0 + e, j0 + f, c]
+                    half[i, f, c] = x
+        for i in range(p + 1):
+            for j in range(q + 1):
+                for c in range(4):
+                    x = 0.0
+                    for f in range(q + 1):
+                        x += to_v[j, f] * half[i, f, c]
+                    net[i, j, c] = x
+                if g.rational:
+                    for c in range(3):
+                        net[i, j, c] /= net[i, j, 3]
+        for c in range(3):
+            for k in range(4):
+                corners[t, k, c] = net[p * (k & 1), q * (k >> 1), c]
+            low, high = net[0, 0, c], net[0, 0, c]
+            for i in range(p + 1):
+                for j in range(q + 1):
+                    low, high = min(low, net[i, j, c]), max(high, net[i, j, c])
+            centre[t, c] = 0.5 * (low + high)
+        away, bulge, way_u, way_v, bent_u, bent_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(p + 1):
+            for j in range(q + 1):
+                s, r = i / p, j / q
+                d, off, du, dv, uu, vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                for c in range(3):
+                    x = net[i, j, c]
+                    d += (x - centre[t, c]) ** 2
+                    flat = (1.0 - r) * ((1.0 - s) * corners[t, 0, c] + s * corners[t, 1, c]) + r * (
+                        (1.0 - s) * corners[t, 2, c] + s * corners[t, 3, c]
+                    )
+                    off += (x - flat) ** 2
+                    if i < p:
+                        du += (net[i + 1, j, c] - x) ** 2
+                    if j < q:
+                        dv += (net[i, j + 1, c] - x) ** 2
+                    if 0 < i < p:
+                        uu += (net[i + 1, j, c] - 2.0 * x + net[i - 1, j, c]) ** 2
+                    if 0 < j < q:
+                        vv += (net[i, j + 1, c] - 2.0 * x + net[i, j - 1, c]) ** 2
+                away, bulge = max(away, d), max(bulge, off)
+                way_u, way_v = max(way_u, du), max(way_v, dv)
+                bent_u, bent_v = max(bent_u, uu), max(bent_v, vv)
+        sag[t] = np.sqrt(bulge) * ROUNDED_UP + rounding
+        radius[t] = np.sqrt(away) * ROUNDED_UP + rounding
+        way_u, way_v = p * np.sqrt(way_u), q * np.sqrt(way_v)
+        if on[t] == ON:
+            # what bends is worth cutting; what is straight only where it is all there is
+            way_u = 0.125 * p * (p - 1) * np.sqrt(bent_u) + STRAIGHT * way_u
+            way_v = 0.125 * q * (q - 1) * np.sqrt(bent_v) + STRAIGHT * way_v
+        if u1 - u0 > least_u and (way_u >= way_v or v1 - v0 <= least_v):
             cut[t] = ACROSS_U
         else:
-            cut[t] = ACROSS_V if hv > least_v else WHOLE
-        # the sphere around the middle of the corners' box; never larger than the one around the span's own hull
-        far = 0.0
-        for c in range(3):
-            low = min(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c], corners[t, 3, c])
-            high = max(corners[t, 0, c], corners[t, 1, c], corners[t, 2, c], corners[t, 3, c])
-            centre[t, c] = 0.5 * (low + high)
-        for k in range(4):
-            d = 0.0
-            for c in range(3):
-                d += (corners[t, k, c] - centre[t, c]) ** 2
-            far = max(far, d)
-        radius[t] = np.sqrt(far) * SAG_ROUNDING + sag[t]
-        at, d = a * g.tally[0, 1] + b, 0.0
-        for c in range(3):
-            d += (0.5 * (g.box[at, 3 + c] - g.box[at, c])) ** 2
-        if np.sqrt(d) + rounding < radius[t]:
-            radius[t] = np.sqrt(d) + rounding
-            for c in range(3):
-                centre[t, c] = 0.5 * (g.box[at, c] + g.box[at, 3 + c])
+            cut[t] = ACROSS_V if v1 - v0 > least_v else WHOLE
 
 
 @njit
-def edge(corners: Array, t: int, i: int, j: int) -> float:
-    """Length between two corners of a cell."""
-    x, y, z = (
-        corners[t, i, 0] - corners[t, j, 0],
-        corners[t, i, 1] - corners[t, j, 1],
-        corners[t, i, 2] - corners[t, j, 2],
-    )
-    return float(np.sqrt(x * x + y * y + z * z))
+def to_bezier(knots: Array, p: int, span: int, low: float, high: float, out: Array, row: Array) -> None:
+    """The matrix (p + 1, p + 1) from the control points of a knot span to the Bezier points over [low, high] inside it.
+
+    Row k is the blossom at p - k times low, k times high (Ramshaw 1989), by de Boor's recurrence over rows of unit
+    vectors: convex combinations, so nothing is lost in it. row (>= p + 1, >= p + 1) : scratch.
+    """
+    for k in range(p + 1):
+        for i in range(p + 1):
+            for c in range(p + 1):
+                row[i, c] = 1.0 if i == c else 0.0
+        for r in range(1, p + 1):
+            t = high if r > p - k else low
+            for i in range(p, r - 1, -1):
+                left = knots[span - p + i]
+                f = (t - left) / (knots[span + 1 + i - r] - left)
+                for c in range(p + 1):
+                    row[i, c] = (1.0 - f) * row[i - 1, c] + f * row[i, c]
+        for c in range(p + 1):
+            out[k, c] = row[p, c]
 
 
 @njit

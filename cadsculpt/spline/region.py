@@ -94,6 +94,44 @@ class Region:
         on = BORDER * self.size
         return self.classify(np.stack([uv[:, 0] - on[0], uv[:, 0] + on[0], uv[:, 1] - on[1], uv[:, 1] + on[1]], axis=1))
 
+    def border_in(self, rectangle: Array, most: int = 3) -> list[tuple[Array, float, float]]:
+        """Chords (2, 2) in (u, v), cut off at the domain, that run through a rectangle (4,): at most `most`, spread over
+        all that do. Each with its middle in the rectangle, as a part of the chord, and its curve's deviation."""
+        found: list[tuple[Array, float, float]] = []
+        for shift in self.shifts:
+            r = np.array([(rectangle[:2] - self.low[0]) / self.size[0], (rectangle[2:] - self.low[1]) / self.size[1]])
+            r += shift[:, None]
+            a, b = self.chords[:, :2], self.chords[:, 2:]
+            near = ((np.minimum(a, b) <= r[:, 1]) & (np.maximum(a, b) >= r[:, 0])).all(axis=1)
+            parts = []
+            for k in np.flatnonzero(near):
+                inner = _clip(a[k], b[k], r)
+                whole = _clip(a[k], b[k], np.array([[0.0, 1.0], [0.0, 1.0]]) + shift[:, None])
+                if inner is None or whole is None:
+                    continue
+                ends = a[k] + np.outer(whole, b[k] - a[k])
+                middle = (0.5 * (inner[0] + inner[1]) - whole[0]) / max(whole[1] - whole[0], 1e-300)
+                chord = self.low + (np.clip(ends - shift, 0.0, 1.0)) * self.size
+                parts.append((chord, float(np.clip(middle, 0.0, 1.0)), float(self.deviation[k])))
+            found += parts
+        if len(found) > most:
+            found = [found[int((k + 0.5) * len(found) / most)] for k in range(most)]
+        return found
+
+
+def _clip(a: Array, b: Array, box: Array) -> tuple[float, float] | None:
+    """Between which parts of the way from a to b (2,) one is inside a box (2, 2), low and high by axis; None if never."""
+    low, high = 0.0, 1.0
+    for c in range(2):
+        d = b[c] - a[c]
+        if d == 0.0:
+            if not box[c, 0] <= a[c] <= box[c, 1]:
+                return None
+            continue
+        t0, t1 = sorted(((box[c, 0] - a[c]) / d, (box[c, 1] - a[c]) / d))
+        low, high = max(low, float(t0)), min(high, float(t1))
+    return (low, high) if low <= high else None
+
 
 def _chain(curve: TrimCurve, low: Array, size: Array) -> tuple[Array, Array]:
     """Points (n + 1, 2) of a trim curve in the unit square, and how far it leaves each of the n chords between them."""
