@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..jit import njit, njit_inline
 from ..spline.bounds import S_UU, S_UV, S_VV, span_bounds
 from ..spline.region import OFF, Region
+from .cells import cells_of
 from .newton import approach
 from .spheres import distance2
 from .workspace import Patch, canonical, grown, make_points
@@ -30,6 +31,9 @@ BLOCK = 4
 ENOUGH_POINTS = 24
 """A print that is below the grid is resolved when this many sub-cells lie in it: its area is then right to some ten
 percent."""
+
+LOOSE = 512
+"""Where more parts than this come near the tool, their bounds are loose: a print is a few dozen parts wide."""
 
 MOST_SUBCELLS = 65536
 """Cells below the grid are cut no further than this many at a time: a fifth of a second, for bounds as loose as none
@@ -322,6 +326,13 @@ def below_grid(
         if region is not None:
             hit[hit] = region.locate(uv[hit]) != OFF
         near = ~(d > radius + margin)
+        if near.sum() > LOOSE:
+            # the span's bounds say little here: the parts' own Bezier nets, which cost more
+            held = np.flatnonzero(near)
+            parts = cells_of(g, None, rectangles(g, cells[held], place[held]))
+            near[held] = ~(distance(parts.centre) > parts.radius + margin)
+            # (both the middle and what is deepest lie in that sphere)
+            radius[held] = np.minimum(radius[held], 2.0 * parts.radius)
         if hit.sum() >= ENOUGH_POINTS or 4 * near.sum() > MOST_SUBCELLS or not (radius[near] > tolerance).any():
             return uv[hit], points[hit], area[hit]
         cells = np.repeat(cells[near], 4, axis=0)
