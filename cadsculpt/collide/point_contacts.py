@@ -34,7 +34,7 @@ def point_contacts(run: Run, index: int, tool: PointTool) -> list[Contacts]:
     for face in near.tolist():
         project(run.model(face)[1], position[None], group, EDGE * size, np.inf, face, best, state, owner)
     if state[0] != NOTHING and not on_face(run.grids[owner[0]], best[:, [U, V]])[0]:
-        grids, patches = [run.grids[face] for face in near], [run.model(face)[1] for face in near]
+        grids, patches = zip(*((run.grids[face], run.model(face)[1]) for face in near.tolist()), strict=True)
         best, state, owner = closest_on_faces(grids, patches, position[None], EDGE * size)
         owner = near[owner]
     if state[0] in (NOTHING, BORDER):

@@ -101,13 +101,13 @@ def closest_on_rim(grid: PatchGrid, g: Patch, points: Array) -> Array:
     `newton`."""
     surface = grid.surface.with_control_points(g.net[..., :3] / g.net[..., 3:])
     start, end = _rim(grid, g)
-    a, b = surface.evaluate(*start.T), surface.evaluate(*end.T)
+    a, b = surface.evaluate(start[:, 0], start[:, 1]), surface.evaluate(end[:, 0], end[:, 1])
     chosen, part = np.zeros(len(points), np.int64), np.zeros(len(points))
     nearest_piece(np.ascontiguousarray(points), a, b, chosen, part)
     uv, step = start[chosen], end[chosen] - start[chosen]
     for _ in range(STEPS):
         at = uv + part[:, None] * step
-        s = surface.derivatives(*at.T, 1)
+        s = surface.derivatives(at[:, 0], at[:, 1], 1)
         tangent = s[1, 0] * step[:, :1] + s[0, 1] * step[:, 1:]
         along = ((points - s[0, 0]) * tangent).sum(axis=1) / np.maximum((tangent * tangent).sum(axis=1), 1e-300)
         renewed = np.clip(part + along, 0.0, 1.0)
@@ -116,7 +116,7 @@ def closest_on_rim(grid: PatchGrid, g: Patch, points: Array) -> Array:
         if settled:
             break
     at = uv + part[:, None] * step
-    s = surface.derivatives(*at.T, 1)
+    s = surface.derivatives(at[:, 0], at[:, 1], 1)
     normal = np.cross(s[1, 0], s[0, 1])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     rows = np.empty((len(points), 9))
