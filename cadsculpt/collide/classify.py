@@ -67,9 +67,8 @@ def depths(side: Side, points: Array, tie: float) -> Array:
         return np.zeros(0)
     if not isinstance(side, SurfaceBody):
         return -signed_distance(side, points)
-    patches = [side.patch(k) for k in range(len(side.tool.grids))]
     out = np.empty(len(points))
-    solid = _Solid(side.tool.grids, patches, side.extents, max(EDGE * side.size, tie), np.inf)
+    solid = _Solid(side.tool.grids, side.patch, side.extents, max(EDGE * side.size, tie), np.inf)
     for start in range(0, len(points), 256):
         part = np.ascontiguousarray(points[start : start + 256])
         found = _nearest(solid, part, np.arange(len(part) + 1))

@@ -106,7 +106,7 @@ def cross(
             pairs[kept, 0], pairs[kept, 1] = a, b
             kept += 1
     found, segments, tests = crossing_triangles(
-        g.points, g.inside, tri_a, first_a, box_a, h.points, h.inside, tri_b, first_b, box_b, pairs[:kept]
+        g.points, tri_a, first_a, box_a, h.points, tri_b, first_b, box_b, pairs[:kept]
     )
     g.counters[5] += len(tri_a) + len(tri_b)
     g.counters[6] += tests
@@ -162,14 +162,11 @@ def near(box_a: Array, a: int, box_b: Array, b: int, pad: float) -> bool:
 
 @njit
 def crossing_triangles(
-    points_a: Array, inside_a: Mask, tri_a: Index, first_a: Index, box_a: Array,
-    points_b: Array, inside_b: Mask, tri_b: Index, first_b: Index, box_b: Array, pairs: Index,
+    points_a: Array, tri_a: Index, first_a: Index, box_a: Array,
+    points_b: Array, tri_b: Index, first_b: Index, box_b: Array, pairs: Index,
 ) -> tuple[Index, Array, int]:  # fmt: skip
     """The triangles that meet, over the pairs (k, 2) of cells: (n, 3) triangle of a, of b, relation; segments
-    (n, 6); and the number of pairs of triangles tested.
-
-    Triangles without a vertex on the trimmed face are left out.
-    """
+    (n, 6); and the number of pairs of triangles tested."""
     found = np.empty((64, 3), np.int64)
     segments = np.empty((64, 6))
     count, tests = 0, 0
@@ -183,11 +180,7 @@ def crossing_triangles(
         ):  # fmt: skip
             continue
         for s in range(first_a[c], first_a[c + 1]):
-            if not (inside_a[tri_a[s, 0]] or inside_a[tri_a[s, 1]] or inside_a[tri_a[s, 2]]):
-                continue
             for t in range(first_b[d], first_b[d + 1]):
-                if not (inside_b[tri_b[t, 0]] or inside_b[tri_b[t, 1]] or inside_b[tri_b[t, 2]]):
-                    continue
                 tests += 1
                 for v in range(3):
                     for x in range(3):

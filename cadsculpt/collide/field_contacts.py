@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from . import hull, levels, quadrature
 from .contacts import Contacts
-from .query import BoundedField, DistanceField, FieldTool, Run, finest_size, lower_bound, on_face
+from .query import BoundedField, DistanceField, FieldTool, Run, finest_size, lower_bound
 from .workspace import Patch, Workspace
 
 Array = NDArray[np.float64]
@@ -38,12 +38,10 @@ def field_contacts(run: Run, index: int, tool: FieldTool) -> list[Contacts]:
         # cells that the tool may reach between the vertices, away from those it is known to touch
         left = quadrature.unresolved(g, cells, margin, names, depth, work.new_mark())
         if len(left):
-            distance = tool.field.distance
+            distance, region = tool.field.distance, run.grids[face].region
             bound = tool.field.bound if isinstance(tool.field, BoundedField) else distance
-            uv, points, area = quadrature.below_grid(g, left, bound, distance, margin, finest_size(run, g))
-            on = on_face(run.grids[face], uv)
-            if on.any():
-                uv, points, area = uv[on], points[on], area[on]
+            uv, points, area = quadrature.below_grid(g, left, bound, distance, margin, finest_size(run, g), region)
+            if len(uv):
                 depth = -tool.field.distance(points)
                 parts.append(_field_rows(run, index, int(face), tool.field, uv, points, depth, area))
     return parts

@@ -40,7 +40,7 @@ def finest_crossings(
 
     boxes_a (cells, BOX), corners_a (cells, 4), stamp_a (cells,) : boxes and slabs of g's cells, the vertices at their
     corners, and the tick at which each was made (`Workspace.boxes`). The triangles are those of `whole_mesh`; those
-    without a vertex on the trimmed face are left out.
+    of cells that hold no piece of the face are left out.
     """
     stack = np.empty((1024, 6), np.int64)
     top = first_pairs(g, boxes_a, corners_a, stamp_a, h, boxes_b, corners_b, stamp_b, stack)
@@ -53,7 +53,7 @@ def finest_crossings(
     off_b, tally_b, row_ub, row_vb, child_ub, child_vb, covers_b = (
         h.offset, h.tally, h.row_u, h.row_v, h.child_u, h.child_v, h.covers,
     )  # fmt: skip
-    tick_a, tick_b, points_a, points_b, inside_a, inside_b = g.tick, h.tick, g.points, h.points, g.inside, h.inside
+    tick_a, tick_b, points_a, points_b = g.tick, h.tick, g.points, h.points
     rows_a, columns_a, rows_b, columns_b = len(g.u), len(g.v), len(h.u), len(h.v)
     wrap_ua, wrap_va, poles_a, wrap_ub, wrap_vb, poles_b = g.wrap_u, g.wrap_v, g.poles, h.wrap_u, h.wrap_v, h.poles
     triangles, relations, segments = np.empty((256, 6), np.int64), np.empty((256, 2), np.int64), np.empty((256, 6))
@@ -104,11 +104,11 @@ def finest_crossings(
         halves(points_a, ia, ja, rows_a, columns_a, wrap_ua, wrap_va, poles_a, tri_a)
         halves(points_b, ib, jb, rows_b, columns_b, wrap_ub, wrap_vb, poles_b, tri_b)
         for s in range(2):
-            if not real(tri_a, s, inside_a):
+            if not real(tri_a, s):
                 continue
             take(points_a, tri_a, s, both, 0)
             for t in range(2):
-                if not real(tri_b, t, inside_b):
+                if not real(tri_b, t):
                     continue
                 tests += 1
                 take(points_b, tri_b, t, both, 3)
@@ -290,10 +290,10 @@ def halves(
 
 
 @njit_inline
-def real(triangles: Index, t: int, inside: Mask) -> bool:
-    """A triangle with three vertices of its own, one of them on the trimmed face."""
+def real(triangles: Index, t: int) -> bool:
+    """A triangle with three vertices of its own: not one that a seam or a pole has closed up."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-    return bool(a != b and b != c and c != a and (inside[a] or inside[b] or inside[c]))
+    return bool(a != b and b != c and c != a)
 
 
 @njit_inline

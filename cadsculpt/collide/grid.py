@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 from ..errors import GeometryError
 from ..spline.basis import design_rows
 from ..spline.matrices import TransformationMatrices, breakpoints, span_lengths
+from ..spline.region import BORDER, OFF, ON, Region
 from ..spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+
+WITHIN = 1e-6
+"""A trim that runs along a cell's border, to this part of the cell, does not cut it: most faces end where their surface
+does."""
 
 WHOLE = 0.7
 """A face that fills more than this part of its surface's domain has it cut evenly: nothing would be gained."""
@@ -27,17 +32,20 @@ class PatchGrid:
 
     surface : degrees, knots, weights, trims, outward; its control points are the rest net. matrices : the finest
     resolution. strides : the levels of detail, coarse to fine, ending in 1; the rows of a level are every stride-th
-    row inside each knot span and all breakpoints. inside : (m, n), whether a grid vertex lies on the trimmed face, or
-    None when all do. row_u (levels, m), child_u (levels, m) : per level (0: the spans) its rows, and for each cell the
-    first of its children on the next level; likewise v. tally (levels, 2), offset (levels + 1,) : cells along u and v,
-    and where each level starts in arrays over all cells. covers : whether a cell holds a vertex of the face. spans (k,
-    3) : the cells of level 0 that do.
+    row inside each knot span and all breakpoints. inside : (m, n), whether a grid vertex lies on the trimmed face;
+    region : the face in (u, v); pieces (m - 1, n - 1) : whether a finest cell lies off it, on it or across its border;
+    all three None when all of the surface is the face. row_u (levels, m), child_u (levels, m) : per level (0: the
+    spans) its rows, and for each cell the first of its children on the next level; likewise v. tally (levels, 2),
+    offset (levels + 1,) : cells along u and v, and where each level starts in arrays over all cells. covers : whether a
+    cell holds a piece of the face, with or without a vertex in it. spans (k, 3) : the cells of level 0 that do.
     """
 
     surface: BSplineSurface
     matrices: TransformationMatrices
     strides: tuple[int, ...]
     inside: Mask | None
+    region: Region | None
+    pieces: Index | None
     row_u: Index
     row_v: Index
     child_u: Index
@@ -58,16 +66,24 @@ class PatchGrid:
         """The grid with about `resolution` rows and columns (or (rows, columns)) over the face, at least one cell per
         span.
 
-        Raises GeometryError when the trimmed face is so small that no vertex lies on it, or the resolution is below 2.
+        Raises GeometryError when the surface is none (`validate`), when the trimmed face is so small that no vertex lies
+        on it, or when the resolution is below 2.
         """
+        surface.validate()
         rows, columns = (resolution, resolution) if isinstance(resolution, int) else resolution
         if min(rows, columns) < 2:
             raise GeometryError(f"a collision resolution of {min(rows, columns)}", mend="2 rows are one cell")
+        region = Region.of(surface)
         for _ in range(4):
             matrices = _matrices(surface, (rows - 1, columns - 1))
-            inside = _inside(surface, matrices)
-            if inside is None or inside.any():
-                return cls._with(surface, matrices, None if inside is None or inside.all() else inside)
+            if region is None:
+                return cls._with(surface, matrices)
+            pieces = _pieces(region, matrices)
+            if (pieces == ON).all():
+                return cls._with(surface, matrices)
+            inside = _inside(region, pieces, matrices)
+            if inside.any():
+                return cls._with(surface, matrices, inside, region, pieces)
             rows, columns = 2 * rows - 1, 2 * columns - 1
         raise GeometryError(
             "the trimmed face is too small for the collision grid: no vertex lies on it",
@@ -76,7 +92,14 @@ class PatchGrid:
         )
 
     @classmethod
-    def _with(cls, surface: BSplineSurface, matrices: TransformationMatrices, inside: Mask | None) -> PatchGrid:
+    def _with(
+        cls,
+        surface: BSplineSurface,
+        matrices: TransformationMatrices,
+        inside: Mask | None = None,
+        region: Region | None = None,
+        pieces: Index | None = None,
+    ) -> PatchGrid:
         starts = (matrices.span_start_u, matrices.span_start_v)
         most = max(int(np.diff(start).max()) for start in starts)
         # the coarsest level cuts the largest spans in two; the spans themselves are the level above it
@@ -85,19 +108,19 @@ class PatchGrid:
         tally = np.stack([tables[0][2], tables[1][2]], axis=1)
         offset = np.concatenate([[0], np.cumsum(tally.prod(axis=1))])
         covers = np.ones(offset[-1], dtype=np.bool_)
-        if inside is not None:
-            before = np.zeros((inside.shape[0] + 1, inside.shape[1] + 1), dtype=np.int64)
-            before[1:, 1:] = inside.cumsum(axis=0).cumsum(axis=1)
+        if pieces is not None:
+            before = np.zeros(matrices.shape, dtype=np.int64)
+            before[1:, 1:] = (pieces != OFF).cumsum(axis=0).cumsum(axis=1)
             for level, (cells_u, cells_v) in enumerate(tally):
                 a, b = tables[0][0][level, : cells_u + 1], tables[1][0][level, : cells_v + 1]
-                held = before[a[1:] + 1] - before[a[:-1]]
-                held = held[:, b[1:] + 1] - held[:, b[:-1]]
-                covers[offset[level] : offset[level + 1]] = held.ravel() > 0
+                covers[offset[level] : offset[level + 1]] = (np.diff(np.diff(before[np.ix_(a, b)], axis=0)) > 0).ravel()
         return cls(
             surface=surface,
             matrices=matrices,
             strides=strides,
             inside=inside,
+            region=region,
+            pieces=pieces,
             row_u=tables[0][0],
             row_v=tables[1][0],
             child_u=tables[0][1],
@@ -174,12 +197,28 @@ def _rows(surface: BSplineSurface, axis: int, total: int) -> tuple[Array, Index]
     return np.concatenate([*pieces, b[-1:]]), starts
 
 
-def _inside(surface: BSplineSurface, matrices: TransformationMatrices) -> Mask | None:
-    if surface.trims is None:
-        return None
-    from ..spline.trim import inside
+def _pieces(region: Region, matrices: TransformationMatrices) -> Index:
+    """OFF, ON or MIXED for every finest cell: (m - 1, n - 1)."""
+    ends = []
+    for t, size in ((matrices.u, region.size[0]), (matrices.v, region.size[1])):
+        within = np.minimum(WITHIN * np.diff(t) + BORDER * size, 0.25 * np.diff(t))
+        ends.append((t[:-1] + within, t[1:] - within))
+    (u0, u1), (v0, v1) = ends
+    rectangles = np.empty((len(u0), len(v0), 4))
+    rectangles[..., 0], rectangles[..., 1] = u0[:, None], u1[:, None]
+    rectangles[..., 2], rectangles[..., 3] = v0, v1
+    return region.classify(rectangles.reshape(-1, 4)).reshape(len(u0), len(v0))
 
-    return inside(surface, matrices.u, matrices.v)
+
+def _inside(region: Region, pieces: Index, matrices: TransformationMatrices) -> Mask:
+    """Which vertices lie on the face or its border: (m, n)."""
+    on = np.zeros(matrices.shape, dtype=np.bool_)
+    on[:-1, :-1] = pieces == ON
+    for shift_u, shift_v in ((1, 0), (0, 1), (1, 1)):
+        on[shift_u : len(on) + shift_u - 1, shift_v : on.shape[1] + shift_v - 1] |= pieces == ON
+    i, j = np.nonzero(~on)
+    on[i, j] = region.locate(np.stack([matrices.u[i], matrices.v[j]], axis=1)) != OFF
+    return on
 
 
 def _levels(start: Index, strides: tuple[int, ...]) -> tuple[Index, Index, Index]:

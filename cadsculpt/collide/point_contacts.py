@@ -12,6 +12,7 @@ from .closest import NOTHING, project
 from .contacts import Contacts
 from .newton import BORDER, DISTANCE, NORMAL, POINT, U, V
 from .query import PointTool, Run, on_face
+from .rim import closest_on_faces
 from .surface_contacts import EDGE
 
 Array = NDArray[np.float64]
@@ -31,11 +32,11 @@ def point_contacts(run: Run, index: int, tool: PointTool) -> list[Contacts]:
     size = float(np.linalg.norm(run.extents[:, 1].max(axis=0) - run.extents[:, 0].min(axis=0))) if len(near) else 0.0
     group = np.array([0, 1])
     for face in near.tolist():
-        _, g = run.model(face)
-        before = best.copy(), state.copy(), owner.copy()
-        project(g, position[None], group, EDGE * size, np.inf, face, best, state, owner)
-        if owner[0] == face and not on_face(run.grids[face], best[:, [U, V]])[0]:
-            best, state, owner = before  # trimmed away there
+        project(run.model(face)[1], position[None], group, EDGE * size, np.inf, face, best, state, owner)
+    if state[0] != NOTHING and not on_face(run.grids[owner[0]], best[:, [U, V]])[0]:
+        grids, patches = zip(*((run.grids[face], run.model(face)[1]) for face in near.tolist()), strict=True)
+        best, state, owner = closest_on_faces(grids, patches, position[None], EDGE * size)
+        owner = near[owner]
     if state[0] in (NOTHING, BORDER):
         return []
     point, total = best[:, POINT : POINT + 3], best[:, NORMAL : NORMAL + 3]

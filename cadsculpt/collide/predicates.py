@@ -123,8 +123,20 @@ def expansion_scale(e: Array, ne: int, b: float, h: Array) -> int:
 
 
 @njit
+def estimate(e: Array, n: int) -> float:
+    """The value of an expansion to nearly all digits, with its exact sign. (Its largest component has that sign, but the
+    next one may be as large as half of it.)"""
+    if n == 0:
+        return 0.0
+    total = 0.0
+    for k in range(n):
+        total += e[k]
+    return total if (total > 0.0) == (e[n - 1] > 0.0) and total != 0.0 else e[n - 1]
+
+
+@njit
 def orient2d_exact(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> float:
-    """The orientation of a, b, c by expansions: the largest component, whose sign is that of the whole."""
+    """The orientation of a, b, c by expansions."""
     w = np.empty(32)
     ab, bc, ca = w[0:4], w[4:8], w[8:12]
     n_ab = minor(ax, ay, bx, by, ab)
@@ -132,7 +144,7 @@ def orient2d_exact(ax: float, ay: float, bx: float, by: float, cx: float, cy: fl
     n_ca = minor(cx, cy, ax, ay, ca)
     n = expansion_sum(ab, n_ab, bc, n_bc, w[12:20])
     n = expansion_sum(w[12:20], n, ca, n_ca, w[20:32])
-    return w[20 + n - 1] if n > 0 else 0.0
+    return estimate(w[20:32], n)
 
 
 @njit
@@ -151,7 +163,7 @@ def orient3d_exact(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float,
     cx: float, cy: float, cz: float, dx: float, dy: float, dz: float,
 ) -> float:  # fmt: skip
-    """The orientation of four points by expansions: the largest component, whose sign is that of the whole."""
+    """The orientation of four points by expansions."""
     w = np.empty(340)
     ab, bc, cd, da, ac, bd = w[0:4], w[4:8], w[8:12], w[12:16], w[16:20], w[20:24]
     n_ab = minor(ax, ay, bx, by, ab)
@@ -182,7 +194,7 @@ def orient3d_exact(
     n_y = expansion_scale(abc, n_abc, -dz, y)
     n_right = expansion_sum(x, n_x, y, n_y, cd_sum)
     n = expansion_sum(ab_sum, n_left, cd_sum, n_right, whole)
-    return whole[n - 1] if n > 0 else 0.0
+    return estimate(whole, n)
 
 
 @njit_inline

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from ..jit import njit, njit_inline
 from ..spline.bounds import S_UU, S_UV, S_VV, span_bounds
+from ..spline.region import OFF, Region
+from .cells import cells_of
 from .newton import approach
 from .spheres import distance2
 from .workspace import Patch, canonical, grown, make_points
@@ -29,6 +31,9 @@ BLOCK = 4
 ENOUGH_POINTS = 24
 """A print that is below the grid is resolved when this many sub-cells lie in it: its area is then right to some ten
 percent."""
+
+LOOSE = 512
+"""Where more parts than this come near the tool, their bounds are loose: a print is a few dozen parts wide."""
 
 MOST_SUBCELLS = 65536
 """Cells below the grid are cut no further than this many at a time: a fifth of a second, for bounds as loose as none
@@ -295,24 +300,38 @@ def below_grid(
     distance: Callable[[Array], Array],
     margin: float,
     tolerance: float,
+    region: Region | None = None,
 ) -> tuple[Array, Array, Array]:
     """Contacts of a tool that reaches the surface between the vertices of the finest cells (i, j) of `cells` (n, 2).
 
-    The cells are cut in four, and those whose sphere stays away from the tool dropped, until ENOUGH_POINTS middles lie
-    in the tool (distance <= margin), or what is left is smaller than `tolerance`: a print no deeper than that is not
-    found. bound : what discards, nowhere farther from 0 than the distance. Returns parameters (k, 2), points (k, 3) and
+    The cells are cut in four, and those whose sphere stays away from the tool, or that hold no piece of the face
+    (`region`), dropped, until ENOUGH_POINTS middles lie in the tool (distance <= margin) and on the face, or what is left
+    is smaller than `tolerance`: a print no deeper than that is not found. bound : what discards, nowhere farther from 0
+    than the distance. Returns parameters (k, 2), points (k, 3) and
     areas (k,).
     """
     place = np.tile([0.0, 0.0, 1.0], (len(cells), 1))
     corner = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])
     while len(cells):
+        if region is not None:
+            held = region.classify(rectangles(g, cells, place)) != OFF
+            cells, place = cells[held], place[held]
         uv, points, radius, area = subcells(g, cells, place)
         low = bound(points)
         hit = low <= margin
         if distance is not bound:
             unsure = np.flatnonzero(hit & ~(low < 0))
             hit[unsure] = distance(points[unsure]) <= margin
+        if region is not None:
+            hit[hit] = region.locate(uv[hit]) != OFF
         near = ~(low > radius + margin)
+        if near.sum() > LOOSE:
+            # the span's bounds say little here: the parts' own Bezier nets, which cost more
+            held = np.flatnonzero(near)
+            parts = cells_of(g, None, rectangles(g, cells[held], place[held]))
+            near[held] = ~(bound(parts.centre) > parts.radius + margin)
+            # (both the middle and what is deepest lie in that sphere)
+            radius[held] = np.minimum(radius[held], 2.0 * parts.radius)
         if hit.sum() >= ENOUGH_POINTS or 4 * near.sum() > MOST_SUBCELLS or not (radius[near] > tolerance).any():
             return uv[hit], points[hit], area[hit]
         cells = np.repeat(cells[near], 4, axis=0)
@@ -320,3 +339,13 @@ def below_grid(
         start = (place[near, None, :2] + place[near, None, 2:] * corner).reshape(-1, 2)
         place = np.column_stack([start, 0.5 * size])
     return np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0)
+
+
+def rectangles(g: Patch, cells: Index, place: Array) -> Array:
+    """The parts of `subcells` in (u, v): (n, 4), u from, to, v from, to."""
+    out = np.empty((len(cells), 4))
+    for axis, t in enumerate((g.u, g.v)):
+        low, size = t[cells[:, axis]], t[cells[:, axis] + 1] - t[cells[:, axis]]
+        out[:, 2 * axis] = low + size * place[:, axis]
+        out[:, 2 * axis + 1] = low + size * (place[:, axis] + place[:, 2])
+    return out

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..spline.region import OFF, ON
 from .broad import Extents, near_box
 from .contacts import Contacts
 from .grid import PatchGrid
@@ -273,20 +274,16 @@ class Run:
 
 
 def on_face(grid: PatchGrid, uv: Array) -> Mask:
-    """Which of the points uv (n, 2) lie on the trimmed face: by the grid inside whole cells, by the trim curves
-    elsewhere."""
-    if grid.inside is None:
+    """Which of the points uv (n, 2) lie on the trimmed face or its border: by the grid inside whole cells, by the trim
+    curves elsewhere."""
+    if grid.region is None or grid.pieces is None:
         return np.ones(len(uv), dtype=np.bool_)
-    from ..spline.trim import inside
-
     i = np.clip(np.searchsorted(grid.matrices.u, uv[:, 0], side="right") - 1, 0, grid.shape[0] - 2)
     j = np.clip(np.searchsorted(grid.matrices.v, uv[:, 1], side="right") - 1, 0, grid.shape[1] - 2)
-    corners = np.stack([grid.inside[i + a, j + b] for a in (0, 1) for b in (0, 1)])
-    out: Mask = np.logical_and.reduce(corners, axis=0)
-    mixed = np.flatnonzero(corners.any(axis=0) & ~out)
-    for start in range(0, len(mixed), 64):
-        part = mixed[start : start + 64]
-        out[part] = np.diagonal(inside(grid.surface, uv[part, 0], uv[part, 1]))
+    out: Mask = grid.pieces[i, j] == ON
+    # (a point on the border between two cells may be on the face although the cell taken is off it)
+    rest = np.flatnonzero(~out)
+    out[rest] = grid.region.locate(uv[rest]) != OFF
     return out
 
 

@@ -3,6 +3,7 @@ their spheres meet, and the contacts found on the true surfaces."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -13,8 +14,10 @@ from .broad import near_box
 from .closest import project
 from .contacts import Contacts
 from .crossing import cross, meet, positions
-from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V
+from .grid import PatchGrid
+from .newton import BORDER, DISTANCE, NORMAL, POINT, PROPER, U, V
 from .query import Crossings, Run, SurfaceTool, finest_size, on_face
+from .rim import closest_on_faces, faces_box, outside_box
 from .workspace import Patch, Workspace, make_points
 
 Array = NDArray[np.float64]
@@ -60,7 +63,11 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
                     break
         if culled and (alone or _whole_hull_apart(run, face, index, g, tool)):
             continue
-        solid = _Solid(run, index, tool, extents, EDGE * size)
+
+        def patch(k: int) -> Patch:
+            return run.load((index, k), tool.grids[k], tool.nets[k])[1]
+
+        solid = _Solid(tool.grids, patch, extents, EDGE * size, run.options.margin)
         contacts += _closest_contacts(run, index, face, solid, work, cells)
     return contacts, crossings
 
@@ -148,15 +155,16 @@ def _closest_contacts(
     if run.paper or not cells:
         return parts
     left = quadrature.unresolved(g, np.concatenate(cells), margin, names, -nearest.gap, work.new_mark())
+    # a cell near several patches of the tool comes once from each
+    left = np.unique(left, axis=0)
     if len(left):
 
         def distance(points: Array) -> Array:
             return _nearest(solid, points, np.arange(len(points) + 1)).gap
 
-        uv, points, area = quadrature.below_grid(g, left, distance, distance, margin, finest_size(run, g))
-        on = on_face(run.grids[face], uv)
-        if on.any():
-            uv, points, area = uv[on], points[on], area[on]
+        region = run.grids[face].region
+        uv, points, area = quadrature.below_grid(g, left, distance, distance, margin, finest_size(run, g), region)
+        if len(uv):
             touch = _nearest(solid, points, np.arange(len(points) + 1))
             parts.append(_rows(run, index, face, uv, points, area, touch))
     return parts
@@ -170,22 +178,14 @@ def _rows(run: Run, index: int, face: int, uv: Array, points: Array, area: Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solid:
-    """A surface tool as `_nearest` sees it: its patches, their boxes (k, 2, 3), and how near two closest points are one
-    (on a common edge)."""
+    """A surface tool as `_nearest` sees it: its grids, its patches, loaded when one is asked for by its place, their boxes
+    (k, 2, 3), how near two closest points are one (on a common edge), and the margin within which distances matter."""
 
-    run: Run
-    index: int
-    tool: SurfaceTool
+    grids: tuple[PatchGrid, ...]
+    patch: Callable[[int], Patch]
     extents: Array
     tie: float
-
-    @property
-    def margin(self) -> float:
-        """Distances matter within it."""
-        return self.run.options.margin
-
-    def patch(self, k: int) -> Patch:
-        return self.run.load((self.index, k), self.tool.grids[k], self.tool.nets[k])[1]
+    margin: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,9 +217,11 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
     """The closest points of all patches of a tool, and on which side of it the points lie.
 
     At the common edge of two patches the sum of their normals tells the sides apart (Baerentzen and Aanaes 2005). A
-    point beyond an open border, or whose closest point has been trimmed away, is on no side. rough : points outside by
-    more than the margin need no exact distance.
+    point beyond an open border is on no side. rough : points outside by more than the margin need no exact distance.
     """
+    # (what has been trimmed away tells no side, and only an exact foot tells what has)
+    trimmed = any(grid.region is not None for grid in solid.grids)
+    rough = rough and not trimmed
     best = np.full((len(points), 9), np.inf)
     state, owner = np.zeros(len(points), np.int64), np.full(len(points), -1, dtype=np.int64)
     beyond = 1.1 * solid.margin + 1e-300 if rough else np.inf
@@ -233,6 +235,17 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
         if FARTHER * away[k] > best[:, DISTANCE].max() + solid.tie:
             break  # and so are all that follow
         project(solid.patch(k), points, group, solid.tie, beyond, k, best, state, owner)
+    if trimmed:
+        off = np.flatnonzero(~_on_faces(solid, best, owner))
+        # what is outside the box of the faces is outside of them
+        patches = [solid.patch(k) for k in range(len(solid.grids))] if len(off) else []
+        beside = outside_box(faces_box(solid.grids, patches), points[off]) if len(off) else np.zeros(0)
+        clear = beside > solid.margin
+        best[off[clear], DISTANCE] = np.maximum(best[off[clear], DISTANCE], beside[clear])
+        state[off[clear]] = BORDER
+        off = off[~clear]
+        if len(off):
+            best[off], state[off], owner[off] = closest_on_faces(solid.grids, patches, points[off], solid.tie)
     arm = points - best[:, POINT : POINT + 3]
     total = best[:, NORMAL : NORMAL + 3]
     length = np.sqrt(np.einsum("ij,ij->i", total, total))
@@ -245,11 +258,16 @@ def _nearest(solid: _Solid, points: Array, group: Index, *, rough: bool = False)
         if over_edge.any():
             normal[over_edge] = side[over_edge, None] * arm[over_edge] / distance[over_edge, None]
     sided = state == PROPER
-    for k, grid in enumerate(solid.tool.grids):
-        if grid.inside is not None:
-            # what is clear of the tool is so with or without its trimmed parts
-            mine = np.flatnonzero((owner == k) & sided & (side * distance <= solid.margin))
-            sided[mine[~on_face(grid, best[mine][:, [U, V]])]] = False
     depth = np.where(sided, -side * distance, -np.inf)
     gap = np.where(sided, side * distance, np.maximum(distance, (1 + 1e-9) * solid.margin + 1e-300))
     return _Nearest(depth, gap, normal, best[:, POINT : POINT + 3], owner, best[:, [U, V]])
+
+
+def _on_faces(solid: _Solid, best: Array, owner: Index) -> Mask:
+    """Which closest points lie on their patches' trimmed faces."""
+    out = np.ones(len(best), np.bool_)
+    for k, grid in enumerate(solid.grids):
+        if grid.region is not None:
+            mine = np.flatnonzero(owner == k)
+            out[mine] = on_face(grid, best[mine][:, [U, V]])
+    return out

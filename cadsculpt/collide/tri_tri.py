@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import GeometryError
 from ..jit import njit, njit_inline
-from .predicates import orient2d, orient3d
+from .predicates import orient2d, orient3d, orient3d_exact
 
 Array = NDArray[np.float64]
 
@@ -40,6 +40,11 @@ class Relation(IntEnum):
 
 
 DISJOINT, TOUCHING, CROSSING, COPLANAR_OVERLAP = (int(r) for r in Relation)
+
+FLAT = 1e-4
+"""Heights of an edge's ends over the other plane, times that triangle's extent, that differ by less than this part of the
+pair's extent cubed leave the place between them to expansions: a height from the filter has its sign, but need not have
+one right digit."""
 
 WORK = 27
 """Length of the scratch array that `tri_tri` wants."""
@@ -167,7 +172,7 @@ def interval_ends(t: Array, work: Array, which: int) -> tuple[int, bool]:
     Returns how many points (0, 1, 2; each into work[15:21] or work[21:27]) and whether one of them lies strictly
     inside.
     """
-    s, o, ends = 3 * which, 3 * which, 15 + 6 * which
+    s, o, r, ends = 3 * which, 3 * which, 3 - 3 * which, 15 + 6 * which
     # row i of e, seen from the triangle
     edge, other = (3, 1) if which == 0 else (1, 3)
     count = 0
@@ -188,11 +193,34 @@ def interval_ends(t: Array, work: Array, which: int) -> tuple[int, bool]:
         if mixed(x, y, z) or count == 2:
             continue
         strict = strict or (x != 0.0 and y != 0.0 and z != 0.0)
+        if here != 0.0 and abs(here - ahead) < FLAT * extent3(t):
+            here, ahead = exact_side(t, r, o + i), exact_side(t, r, o + j)
         f = 0.0 if here == 0.0 else here / (here - ahead)
         for c in range(3):
             work[ends + 3 * count + c] = t[o + i, c] + f * (t[o + j, c] - t[o + i, c])
         count += 1
     return count, strict
+
+
+@njit
+def exact_side(t: Array, r: int, d: int) -> float:
+    """`side` of the rows r, r + 1, r + 2 of t and the row d to all its digits."""
+    return orient3d_exact(
+        t[r, 0], t[r, 1], t[r, 2], t[r + 1, 0], t[r + 1, 1], t[r + 1, 2],
+        t[r + 2, 0], t[r + 2, 1], t[r + 2, 2], t[d, 0], t[d, 1], t[d, 2],
+    )  # fmt: skip
+
+
+@njit
+def extent3(t: Array) -> float:
+    """The cube of the longest side of the box of all rows of t."""
+    extent = 0.0
+    for k in range(3):
+        low, high = t[0, k], t[0, k]
+        for i in range(1, len(t)):
+            low, high = min(low, t[i, k]), max(high, t[i, k])
+        extent = max(extent, high - low)
+    return float(extent * extent * extent)
 
 
 @njit

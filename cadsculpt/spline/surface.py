@@ -211,3 +211,8 @@ class BSplineSurface:
                 raise GeometryError(f"weights of shape {self.weights.shape}", where=where, mend=f"({r}, {s})")
             if not (np.isfinite(self.weights).all() and (self.weights > 0).all()):
                 raise GeometryError("a weight is not positive and finite", where=where)
+        for curve in (curve for loop in self.trims or () for curve in loop.curves):
+            if not (np.isfinite(curve.control_points).all() and np.isfinite(curve.knots).all()):
+                raise GeometryError("a trim curve has a number that is not finite", where=where)
+            if curve.weights is not None and not (np.isfinite(curve.weights).all() and (curve.weights > 0).all()):
+                raise GeometryError("a weight of a trim curve is not positive and finite", where=where)

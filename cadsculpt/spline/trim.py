@@ -61,16 +61,16 @@ def inside(surface: BSplineSurface, u: Array, v: Array) -> NDArray[np.bool_]:
     lines = np.ascontiguousarray(np.concatenate(segments))
     (u0, u1), (v0, v1) = surface.domain
     result = np.zeros((len(u), len(v)), dtype=np.bool_)
-    on = 1e-9 * max(u1 - u0, v1 - v0)
+    on_u, on_v = 1e-9 * (u1 - u0), 1e-9 * (v1 - v0)
     for shift_u in (0.0, u1 - u0, u0 - u1) if surface.closed_u else (0.0,):
         for shift_v in (0.0, v1 - v0, v0 - v1) if surface.closed_v else (0.0,):
-            result |= _even_odd(lines, u + shift_u, v + shift_v, on)
+            result |= _even_odd(lines, u + shift_u, v + shift_v, on_u, on_v)
     return result
 
 
 @njit
-def _even_odd(lines: Array, u: Array, v: Array, on: float) -> NDArray[np.bool_]:
-    """Even-odd parity of each (u[i], v[j]) against segments (k, 4); points within `on` of a segment are inside.
+def _even_odd(lines: Array, u: Array, v: Array, on_u: float, on_v: float) -> NDArray[np.bool_]:
+    """Even-odd parity of each (u[i], v[j]) against segments (k, 4); points within on_u, on_v of a segment are inside.
 
     One sweep per column v[j]: the sorted crossings of the line v = v[j] give the parity of every u.
     """
@@ -91,13 +91,13 @@ def _even_odd(lines: Array, u: Array, v: Array, on: float) -> NDArray[np.bool_]:
             result[i, j] = below % 2 == 1
             if not result[i, j]:
                 for c in range(max(0, below - 1), min(count, below + 1)):
-                    if abs(hits[c] - u[i]) <= on:
+                    if abs(hits[c] - u[i]) <= on_u:
                         result[i, j] = True
         # horizontal pieces of the boundary make no crossing: a point on one of them is inside as well
         for s in range(k):
-            if abs(lines[s, 1] - v[j]) <= on and abs(lines[s, 3] - v[j]) <= on:
-                low = min(lines[s, 0], lines[s, 2]) - on
-                high = max(lines[s, 0], lines[s, 2]) + on
+            if abs(lines[s, 1] - v[j]) <= on_v and abs(lines[s, 3] - v[j]) <= on_v:
+                low = min(lines[s, 0], lines[s, 2]) - on_u
+                high = max(lines[s, 0], lines[s, 2]) + on_u
                 for i in range(m):
                     if low <= u[i] <= high:
                         result[i, j] = True

@@ -75,6 +75,26 @@ def test_nothing_is_missed_however_small_the_tool(shapes, resolution):
     assert hits > 15
 
 
+def test_a_small_tool_is_found_where_the_spans_bounds_say_nothing(shapes):
+    """Rational, of high degree, over narrow spans: bounds over a span are a thousand times the surface's size."""
+    rng = np.random.default_rng(3)
+    for _ in range(6):
+        steps = rng.uniform(0.3, 1.0, 6) * [1, 1, 0.05, 1, 0.05, 1]
+        breaks = np.cumsum(steps)
+        knots = np.concatenate([np.zeros(6), breaks[:-1], np.full(6, breaks[-1])])
+        x, y = np.meshgrid(np.linspace(0, 10, 11), np.linspace(0, 10, 6), indexing="ij")
+        net = np.stack([x, y, 0 * x], axis=-1) + rng.normal(scale=6.0, size=(11, 6, 3))
+        surface = BSplineSurface(net, knots, np.repeat([0.0, 1.0], 6), 5, 5, rng.uniform(0.1, 3, (11, 6)))
+        grid = PatchGrid.of(surface, (13, 4))
+        i, j = rng.integers(0, grid.shape[0] - 1), rng.integers(0, 3)
+        at = surface.evaluate(
+            *(t[k] + 0.45 * (t[k + 1] - t[k]) for t, k in ((grid.matrices.u, i), (grid.matrices.v, j)))
+        )
+        contacts = _detect(grid, shapes.Sphere(at, 0.02), DetectOptions(tolerance=1e-2)).contacts
+        assert len(contacts)
+        assert np.linalg.norm(contacts.point - at, axis=1).max() <= 0.02
+
+
 def test_the_paper_misses_some_of_them(shapes):
     rng = np.random.default_rng(20)
     missed = 0
