@@ -21,7 +21,6 @@ from .workspace import Patch, canonical, grown, longer, make_points
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @njit
