@@ -18,7 +18,7 @@ from .mesh import TRIANGLE_FORMATS, read_mesh
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NamedBody:
-    """What `collision.collide` takes, in mm. label : as the user wrote it. faces : the names of its faces, by place."""
+    """What `collision.collide` takes, in mm. label : its file's name and face. faces : the names of its faces, by place."""
 
     label: str
     body: Any
@@ -42,7 +42,7 @@ def body_named(text: str, units: str | None, on_file: Callable[[str], None], war
         warnings += [f"{path.name}: {line}" for line in mesh.warnings]
         if units is None:
             warnings.append(f"{path.name}: a mesh names no unit; its numbers are taken as mm (--units says otherwise)")
-        return NamedBody(text, mesh, ())
+        return NamedBody(path.name, mesh, ())
     part = registry.read(path, units=units)
     chosen = list(part.faces)
     if face:
@@ -55,7 +55,9 @@ def body_named(text: str, units: str | None, on_file: Callable[[str], None], war
         warnings.append(f"{path.name}: faces without an exact surface are left out: {', '.join(left_out[:5])}")
     if not surfaces:
         raise InputError("it has no face to collide", where=text, mend="cadsculpt inspect lists what a file holds")
-    return NamedBody(text, surfaces, tuple(f.name for f in chosen if not f.warning))
+    return NamedBody(
+        f"{path.name}#{face}" if face else path.name, surfaces, tuple(f.name for f in chosen if not f.warning)
+    )
 
 
 def clash_object(result: Proximity, a: NamedBody, b: NamedBody) -> dict[str, Any]:

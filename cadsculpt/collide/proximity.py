@@ -15,7 +15,7 @@ from .distance import Body, distance, prepared, smaller_size
 from .interval import BUDGET, DistanceInterval
 from .meeting import Side, field_meets, normals, surfaces_meet, witness_pair
 from .pairs import SurfacePairs
-from .solid import holds, is_solid
+from .solid import contains, is_solid
 
 Array = NDArray[np.float64]
 Verdict = Literal["clear", "contact", "undecided"]
@@ -74,8 +74,7 @@ def proximity(
     if found.low <= limit < found.high and not found.exhausted:
         # the interval is as narrow as was asked, and lies across the limit
         found = found.narrowed(distance(a, b, tolerance=least, threshold=limit, budget=budget, cache=cache))
-    solid = is_solid(one), is_solid(two)
-    if found.low > touch and ((solid[0] and holds(one, two, touch)) or (solid[1] and holds(two, one, touch))):
+    if found.low > touch and (contains(one, two, touch) or contains(two, one, touch)):
         return Proximity("contact", "contained", replace(found, low=0.0, high=0.0, decided=True, exhausted=False), touch,
                          clearance, _closest(one, two, found, found.high))  # fmt: skip
     if found.low > limit:
@@ -86,6 +85,7 @@ def proximity(
         return Proximity("contact", "clear", found, touch, clearance, _closest(one, two, found, -found.high))
     pairs = _meeting(one, two, touch)
     closest = _closest(one, two, found, 0.0)
+    solid = is_solid(one), is_solid(two)
     kind = kind_of_meeting(one, two, solid, SurfacePairs.joined([pairs, closest]), touch)
     return Proximity("contact", kind, found, touch, clearance, pairs if len(pairs) else closest)
 
@@ -97,7 +97,7 @@ def separation(a: Body, b: Body, *, cache: GridCache | None = None, budget: int 
     one, two = prepared(a, "first body", cache), prepared(b, "second body", cache)
     least = max(found.high - found.low, ROUNDING * max(_reach(one), _reach(two)))
     for outer, inner in ((one, two), (two, one)):
-        if found.low > least and is_solid(outer) and holds(outer, inner, least):
+        if found.low > least and contains(outer, inner, least):
             return replace(found, low=0.0, high=0.0)
     return found
 

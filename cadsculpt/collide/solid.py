@@ -21,6 +21,9 @@ Index = NDArray[np.int64]
 SAMPLES = 24
 """Points on each knot span of an edge, to find its partner by."""
 
+NEIGHBOURS = (4, 16, 64)
+"""Among so many nearest points of all edges the partner of an edge's point is looked for, most having it among the first."""
+
 UPRIGHT = 0.5
 """Cosine between the way to a body's nearest point and the normal there, from which on the normal tells the side."""
 
@@ -40,18 +43,23 @@ def is_solid(side: SurfaceBody | DistanceField) -> bool:
     last = np.cumsum([len(edge) for edge in edges]) - 1
     # how far a chord of each edge may leave it
     bend = np.repeat([_bend(edge) for edge in edges], [len(edge) for edge in edges])
-    count = min(64, len(points))
-    _, near = cKDTree(points).query(points, k=count)
-    near = near.reshape(len(points), -1)
-    best = np.full(len(points), np.inf)
-    for column in near.T:
-        other = owner[column] != owner
-        for start in (column, np.maximum(column - 1, 0)):
-            usable = other & (owner[start] == owner[column]) & ~np.isin(start, last)
-            end = np.minimum(start + 1, len(points) - 1)
-            gap = _to_segment(points, points[start], points[end]) - bend[column]
-            best = np.where(usable, np.minimum(best, gap), best)
-    return bool((best <= EDGE * side.size).all())
+    ends = np.zeros(len(points), dtype=np.bool_)
+    ends[last] = True
+    tree, alone = cKDTree(points), np.arange(len(points))
+    for count in NEIGHBOURS:
+        _, near = tree.query(points[alone], k=min(count, len(points)))
+        best = np.full(len(alone), np.inf)
+        for column in near.reshape(len(alone), -1).T:
+            other = owner[column] != owner[alone]
+            for start in (column, np.maximum(column - 1, 0)):
+                usable = np.flatnonzero(other & (owner[start] == owner[column]) & ~ends[start])
+                a, b = points[start[usable]], points[np.minimum(start[usable] + 1, len(points) - 1)]
+                gap = _to_segment(points[alone[usable]], a, b) - bend[column[usable]]
+                best[usable] = np.minimum(best[usable], gap)
+        alone = alone[best > EDGE * side.size]
+        if not len(alone):
+            return True
+    return False
 
 
 def _open_edges(body: SurfaceBody, k: int) -> list[Array]:
@@ -117,6 +125,19 @@ def depth_inside(side: SurfaceBody | DistanceField, point: Array, tolerance: flo
     if not abs(cosine) > UPRIGHT:
         return np.nan
     return -search.high if cosine > 0 else search.high
+
+
+def contains(outer: SurfaceBody | DistanceField, inner: SurfaceBody | DistanceField, tolerance: float) -> bool:
+    """Whether a body is a solid and holds another one, or a lump of it, that does not touch its boundary. Their boxes are
+    asked first, which costs nothing."""
+    return _may_hold(outer, inner) and is_solid(outer) and holds(outer, inner, tolerance)
+
+
+def _may_hold(outer: SurfaceBody | DistanceField, inner: SurfaceBody | DistanceField) -> bool:
+    """Whether, by their boxes, a patch of one body could lie inside another."""
+    box = np.asarray(outer.box if isinstance(outer, SurfaceBody) else outer.box())
+    own = inner.extents if isinstance(inner, SurfaceBody) else np.asarray(inner.box())[None]
+    return bool(((own[:, 0] >= box[0]) & (own[:, 1] <= box[1])).all(axis=1).any())
 
 
 def holds(outer: SurfaceBody | DistanceField, inner: SurfaceBody | DistanceField, tolerance: float) -> bool:
