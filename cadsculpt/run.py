@@ -61,9 +61,10 @@ class Hooks:
 
 @dataclass(slots=True)
 class _Clearance:
-    """Which pairs' distance the expectations ask for."""
+    """Which pairs' distance the expectations ask for, and the smallest so far: (bodies, tools)."""
 
-    wanted: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    wanted: NDArray[np.bool_]
+    smallest: Array
     cache: GridCache = field(default_factory=GridCache)
 
     @classmethod
@@ -73,18 +74,24 @@ class _Clearance:
             if spec.what == "clearance":
                 body, tool = pair_indices(spec, model)
                 wanted[slice(None) if body is None else body, slice(None) if tool is None else tool] = True
-        return cls(wanted)
+        return cls(wanted, np.full(wanted.shape, np.inf))
 
     def measure(self, session: Session) -> Array:
-        """Certified lower bounds of the distances asked for, NaN elsewhere: (bodies, tools)."""
+        """Certified lower bounds of the distances asked for, NaN elsewhere: (bodies, tools). One that is not the smallest
+        so far is only known to be above it."""
         model, state = session.model, session.state
         distance = np.full(self.wanted.shape, np.nan)
         for body, tool in np.argwhere(self.wanted):
             placed = model.tools[tool].tool.placed(state.poses[tool])
             mine = [i for i, patch in enumerate(model.patches) if patch.body == body]
             part = SurfaceTool(tuple(model.patches[i].grid for i in mine), tuple(state.control_points[i] for i in mine))
-            # never more clearance than is certain
-            distance[body, tool] = separation(part, placed, cache=self.cache).low
+            least, tolerance = float(self.smallest[body, tool]), model.options.tolerance or None
+            found = separation(part, placed, tolerance=tolerance, threshold=min(least, model.size), cache=self.cache)
+            if found.low <= least:
+                # never more clearance than is certain
+                found = separation(part, placed, tolerance=tolerance, cache=self.cache)
+                self.smallest[body, tool] = min(least, found.low)
+            distance[body, tool] = found.low
         return distance
 
 

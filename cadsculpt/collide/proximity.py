@@ -90,12 +90,21 @@ def proximity(
     return Proximity("contact", kind, found, touch, clearance, pairs if len(pairs) else closest)
 
 
-def separation(a: Body, b: Body, *, cache: GridCache | None = None, budget: int = BUDGET) -> DistanceInterval:
-    """The distance of two bodies as solids where they are: 0 where one lies inside the other."""
+def separation(
+    a: Body,
+    b: Body,
+    *,
+    tolerance: float | None = None,
+    threshold: float | None = None,
+    budget: int = BUDGET,
+    cache: GridCache | None = None,
+) -> DistanceInterval:
+    """The distance of two bodies as solids where they are: 0 where one lies inside the other. Arguments as for
+    `distance`."""
     cache = GridCache() if cache is None else cache
-    found = distance(a, b, budget=budget, cache=cache)
+    found = distance(a, b, tolerance=tolerance, threshold=threshold, budget=budget, cache=cache)
     one, two = prepared(a, "first body", cache), prepared(b, "second body", cache)
-    least = max(found.high - found.low, ROUNDING * max(_reach(one), _reach(two)))
+    least = ROUNDING * max(_reach(one), _reach(two))
     for outer, inner in ((one, two), (two, one)):
         if found.low > least and contains(outer, inner, least):
             return replace(found, low=0.0, high=0.0)
