@@ -120,6 +120,8 @@ def spring_tangents(
     definite: bool,
     x: Array,
     before: Array,
+    trial: Array,
+    flow: Array,
     rest_length: Array,
     force: Array,
     effort: Array,
@@ -129,10 +131,18 @@ def spring_tangents(
     """What an implicit step needs at positions x (3, N + 2), padded: rest lengths after flow, forces and tangents.
 
     before (13, N) : rest lengths at the start; rest_length (13, N) receives those after return mapping. force (3, N +
-    2), padded, is added to; effort (N + 2) too: the sum of |k (L - L_p)| of a node's springs. blocks (13, N, 6) receives
-    the tangents H = k_t n n + side (1 - n n), side = k (L - L_p) / L, as xx, yy, zz, xy, yz, zx; k_t is the consistent
-    tangent, k times the hardening while the spring flows, but at least LEAST_TANGENT k. When `definite`, side is cut
-    off at 0: without what pushes compressed springs sideways no lattice is unstable. work (2, >= longest run).
+    2), padded, is added to; effort (N + 2) too: the sum of |k (L - L_p)| of a node's springs. work (2, >= longest run).
+
+    blocks (13, N, 6) receives the tangents H = k_t n n + side (1 - n n), side = k (L - L_p) / L, as xx, yy, zz, xy, yz,
+    zx. When `definite`, side is cut off at 0: without what pushes compressed springs sideways no lattice is unstable.
+    k_t is the tangent of the primal-dual method (Chan, Golub, Mulet 1999). With T the trial stress of `_flow`, in
+    lengths, and y its limit, the spring's stress is y w, w = T / max(y, |T|); w is followed as an unknown of its own,
+
+        k_t / k = hardening + (1 - hardening) y / max(y, |T|) (1 - w sign T)    while |T| > y,
+
+    which is the consistent tangent once w is right, and stiffer while a spring that flowed the other way turns round:
+    plain Newton iterations overshoot there by the ratio of the two stiffnesses. trial, flow (13, N) : T and w of the
+    iteration before, replaced by the new ones unless `definite`, which asks about the same iteration; T is NaN at first.
     """
     for row in range(len(segments)):
         d, start, stop, shift = segments[row]
@@ -151,9 +161,22 @@ def spring_tangents(
             if k == 0.0:
                 continue
             p, q = n + 1, n + 1 + shift
-            low, high = SHORTEST * initial_length[d, n], LONGEST * initial_length[d, n]
-            flows = rest[m] != before[d, n] and low < rest[m] < high
-            along = max(hardening[d, n], LEAST_TANGENT) * k if flows else k
+            along = k
+            limit = (1.0 - hardening[d, n]) * yield_strain[d, n] * initial_length[d, n]
+            if plastic and limit < math.inf:
+                h = hardening[d, n]
+                new = (1.0 - h) * length[m] - before[d, n] + h * initial_length[d, n]
+                if not definite:
+                    old, w = trial[d, n], new / limit
+                    if abs(old) > limit:
+                        turned = flow[d, n] if old > 0.0 else -flow[d, n]
+                        w = (new - turned * (new - old)) / abs(old)
+                    trial[d, n], flow[d, n] = new, min(max(w, -1.0), 1.0)
+                w = flow[d, n] if new > 0.0 else -flow[d, n]
+                clamped = not SHORTEST * initial_length[d, n] < rest[m] < LONGEST * initial_length[d, n]
+                if abs(new) > limit and not clamped:
+                    along *= h + (1.0 - h) * limit / abs(new) * (1.0 - w)
+                    along = max(along, LEAST_TANGENT * k)
             tension = k * (length[m] - rest[m])
             side = tension / length[m]
             ux, uy, uz = x[0, q] - x[0, p], x[1, q] - x[1, p], x[2, q] - x[2, p]
