@@ -231,15 +231,14 @@ def _column_inverses(lattice: Lattice, tangent: Tangent, free: NDArray[np.bool_]
     down = tangent.blocks[2][:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, nl, 3, 3)
     exists = (lattice.stiffness[2] > 0.0).reshape(-1, nl) & free.reshape(-1, nl)
     exists[:, :-1] &= free.reshape(-1, nl)[:, 1:]
-    diagonal = np.where(free[:, None, None], diagonal, np.eye(3)).reshape(-1, nl, 3, 3)
+    of_column = np.where(free[:, None, None], diagonal, np.eye(3)).reshape(-1, nl, 3, 3)
     for k in range(nl):
-        columns[:, k, :, k] = diagonal[:, k]
+        columns[:, k, :, k] = of_column[:, k]
         if k + 1 < nl:
             block = np.where(exists[:, k, None, None], down[:, k], 0.0)
             columns[:, k, :, k + 1] = -block
             columns[:, k + 1, :, k] = -block
-    inverse: Array = np.linalg.inv(columns.reshape(-1, 3 * nl, 3 * nl))
-    return inverse
+    return np.asarray(np.linalg.inv(columns.reshape(-1, 3 * nl, 3 * nl)), dtype=np.float64)
 
 
 @njit
