@@ -31,7 +31,12 @@ def warm_up(scene: Scene) -> None:
             "units": "mm",
             "model": [{"name": "plate", "file": "plate", "thickness": 2.0, "nodes": 2.0, "material": "clay"}],
             "tool": tools,
-            "solver": {"resolution": 13, "mode": scene.solver.mode, "step": 1e-4},
+            "solver": {
+                "resolution": 13,
+                "mode": scene.solver.mode,
+                "integrator": scene.solver.integrator,
+                "step": 1e-4,
+            },
         }
     )
     low = {"point": -0.1, "sphere": 2.9, "surface": -0.1}

@@ -22,8 +22,9 @@ would make the matrix unsymmetric. Where K is not positive definite (a plate abo
 compressed springs is left out too (Teran et al. 2005, Robust quasistatic finite elements and flesh simulation). A
 correction is shortened until the work of the residual along it does not turn over.
 
-Converged means: the residual is at most RESIDUAL of the forces at work, and the last correction at most CORRECTION of the
-node spacing. What does not converge in ITERATIONS is tried in halves, down to 1 / 2^HALVINGS of the step.
+Converged means: the residual is at most RESIDUAL of the forces at work, and the last correction, before it was shortened,
+at most CORRECTION of the node spacing. What does not converge in ITERATIONS is tried in halves, down to 1 / 2^HALVINGS of
+the step.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from ..errors import InputError, SimulationError
 from .explicit import MOST_STRETCH, NO_LOAD, ContactLoad, LatticeState, StepForces
 from .lattice import Lattice
 from .springs import fastest_stretch, spring_tangents
-from .tangent import Numbering, Tangent, solve
+from .tangent import Numbering, Tangent, one_blas_thread, solve
 
 Array = NDArray[np.float64]
 
@@ -108,7 +109,8 @@ def advance_implicit(
         h = dt / count * size / finest
         problem = _Problem.at(lattice, now, load, depth, h, quasi_static=quasi_static, external=external)
         try:
-            found = _newton(problem, numbering)
+            with one_blas_thread():
+                found = _newton(problem, numbering)
         except _NoConvergenceError as failure:
             if size == 1:
                 raise SimulationError(
@@ -253,13 +255,13 @@ def _newton(problem: _Problem, numbering: Numbering) -> _Balance:
                 raise _NoConvergenceError(now.ratio, iteration)
             return now
         if not math.isfinite(now.ratio):
-            break
+            raise _NoConvergenceError(now.ratio, iteration)
         d = solve(lattice, numbering, now.tangent, now.residual)
         if d is None:
             safe = _balance(problem, now.x, now.duals, definite=True)
             d = solve(lattice, numbering, safe.tangent, now.residual)
         if d is None:
-            raise _NoConvergenceError(now.ratio, iteration)
+            raise _NoConvergenceError(now.ratio, iteration + 1)
         farthest = math.sqrt(float(np.einsum("nc,nc->n", d, d).max()))
         share = min(1.0, problem.reach / farthest) if farthest > 0.0 else 1.0
         work = float(np.vdot(now.residual, d))
@@ -271,7 +273,7 @@ def _newton(problem: _Problem, numbering: Numbering) -> _Balance:
                 break
             # where the work along d would be nothing, were it linear
             share *= min(max(work / (work - turned), 0.1), 0.7)
-        now, correction = after, share * farthest
+        now, correction = after, farthest
     raise _NoConvergenceError(now.ratio, ITERATIONS)
 
 

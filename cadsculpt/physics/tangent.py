@@ -10,7 +10,10 @@ contacts press and metal flows.
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +104,20 @@ class Tangent:
     nodes: Index
     weights: Array
     contact: Array
+
+
+@cache
+def _blas() -> Any:
+    import scipy.linalg.lapack  # noqa: F401  (scipy brings a BLAS of its own, which has to be loaded to be found)
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """A block in which BLAS works on one thread: sums in another order would give other bytes."""
+    limited: AbstractContextManager[Any] = _blas().limit(limits=1, user_api="blas")
+    return limited
 
 
 def solve(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: Array) -> Array | None:
