@@ -213,6 +213,8 @@ def _solve_cg(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: A
     inverse = _column_inverses(lattice, tangent, free)
     r = np.where(free[:, None], right, 0.0)
     target = CG_TOLERANCE * np.linalg.norm(r)
+    acting = tangent.contact.any(axis=(1, 2))
+    touched, weights, contact = tangent.nodes[acting], tangent.weights[acting], tangent.contact[acting]
     d = np.zeros_like(r)
     direction, along = np.zeros_like(r), 0.0
     for _ in range(CG_ITERATIONS):
@@ -223,9 +225,9 @@ def _solve_cg(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: A
         direction = z if before == 0.0 else z + along / before * direction
         product = tangent.diagonal[:, None] * direction
         _multiply(lattice.segments, lattice.stiffness, tangent.blocks, direction, product)
-        moved = np.einsum("ck,cka->ca", tangent.weights, direction[tangent.nodes])
-        pushed = np.einsum("cab,cb->ca", tangent.contact, moved)
-        np.add.at(product, tangent.nodes, tangent.weights[:, :, None] * pushed[:, None, :])
+        moved = np.einsum("ck,cka->ca", weights, direction[touched])
+        pushed = np.einsum("cab,cb->ca", contact, moved)
+        np.add.at(product, touched, weights[:, :, None] * pushed[:, None, :])
         product[~free] = 0.0
         curvature = float(np.vdot(direction, product))
         if not (along > 0.0 and curvature > 0.0):
