@@ -90,11 +90,13 @@ def build_model(
     """
     unit = metres_per_unit(scene.units)
     solver = scene.solver
-    if solver.integrator != "explicit":
-        raise InputError(f"integrator {solver.integrator!r} cannot be run yet", mend='use integrator = "explicit"')
     for spec, body in zip(scene.model, bodies, strict=True):
         if not body.faces:
             raise InputError("no face to sculpt", where=f"model {spec.name!r}", mend="name at least one face")
+        if solver.quasi_static and spec.anchor == "none":
+            raise InputError(
+                "a quasi-static body that nothing holds", where=f"model {spec.name!r}", mend="give it an anchor"
+            )
     faces = [
         (spec, index, face, _spacing(spec, face))
         for index, (spec, body) in enumerate(zip(scene.model, bodies, strict=True))
@@ -180,13 +182,17 @@ def _spacing(spec: ModelSpec, face: SourceFace) -> tuple[float, float]:
 
 
 def _step(scene: Scene, tools: Sequence[ToolBody], spacing: float, patches: Sequence[Patch]) -> float:
-    """The length of one step: the scene's, or for "auto" the time in which no tool moves more than a tenth of the spacing."""
+    """The length of one step: the scene's, or for "auto" the time in which no tool moves more than a tenth of the spacing.
+
+    An implicit step costs far more than a collision check, and keeps its contacts' planes: a quarter of the spacing.
+    """
     if not isinstance(scene.solver.step, str):
         return float(scene.solver.step)
     fastest = max(_top_speed(tool) for tool in tools)
     stable = min(patch.substep for patch in patches)
     duration = max(tool.path.duration for tool in tools)
-    step = 0.1 * spacing / fastest if fastest > 0 else duration
+    share = 0.25 if scene.solver.integrator == "implicit" else 0.1
+    step = share * spacing / fastest if fastest > 0 else duration
     return float(min(max(step, stable), max(duration, stable)))
 
 

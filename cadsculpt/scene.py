@@ -134,6 +134,9 @@ class SolverSpec(Spec):
     """How the simulation is computed. Lengths left out follow from the thinnest model."""
 
     integrator: Literal["explicit", "implicit"] = Field(default="explicit", description="how time is integrated")
+    quasi_static: Flag = Field(
+        default=False, description="true when inertia and damping are left out (implicit): every step ends at rest"
+    )
     step: Step = Field(default="auto", description='s between collision checks, or "auto"')
     substep: Positive | None = Field(
         default=None, description="s of one step of the lattice, the stable one when left out"
@@ -155,6 +158,8 @@ class SolverSpec(Spec):
         step, substep = given.get("step"), given.get("substep")
         if is_number(step) and is_number(substep) and substep > step > 0:
             yield Fault(("substep",), f"substep must be at most step {shown(step)}, not {shown(substep)}")
+        if given.get("quasi_static") is True and given.get("integrator") != "implicit":
+            yield Fault(("quasi_static",), 'quasi_static needs integrator = "implicit"')
 
 
 class RefitSpec(Spec):

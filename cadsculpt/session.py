@@ -22,6 +22,8 @@ from .motion.motion import Motion
 from .motion.pose import Pose
 from .physics.explicit import ContactLoad, LatticeState, StepForces, advance
 from .physics.forces import node_weights
+from .physics.implicit import advance_implicit
+from .physics.lattice import Lattice
 from .reaction import Reaction, StepActs
 from .spline.refit import RefitError
 from .spline.surface import BSplineSurface
@@ -322,6 +324,10 @@ class Session:
         model, state = self.model, self.state
         forces = np.zeros((len(contacts), 3))
         depths = np.array(contacts.depth)
+        # a lattice that fails is left as it was; those before it are put back
+        before = [
+            (lattice.x.copy(), lattice.velocity.copy(), lattice.rest_length.copy()) for lattice in state.lattices[:-1]
+        ]
         for index, patch in enumerate(model.patches):
             mine = np.flatnonzero(contacts.face == index)
             load = None
@@ -340,9 +346,13 @@ class Session:
                     damping=np.full(len(mine), patch.contact_damping),
                     friction=np.full(len(mine), patch.material.friction),
                 )
-            result: StepForces = advance(
-                patch.lattice, state.lattices[index], load, dt, substep=model.scene.solver.substep
-            )
+            try:
+                result = self._integrate(patch.lattice, state.lattices[index], load, dt)
+            except SimulationError as error:
+                for lattice, kept in zip(state.lattices, before, strict=False):
+                    lattice.x, lattice.velocity, lattice.rest_length = kept
+                where = f"step {state.step + 1}, face {patch.name!r}"
+                raise SimulationError(error.what, where=where, mend=error.mend) from None
             forces[mine], depths[mine] = result.mean_force, result.depth
         return forces, depths
 
@@ -354,6 +364,12 @@ class Session:
             and np.array_equal(state.x, lattice.nodes)
             and np.array_equal(state.rest_length, lattice.rest_length)
         )
+
+    def _integrate(self, lattice: Lattice, state: LatticeState, load: ContactLoad | None, dt: float) -> StepForces:
+        solver = self.model.scene.solver
+        if solver.integrator == "explicit":
+            return advance(lattice, state, load, dt, substep=solver.substep)
+        return advance_implicit(lattice, state, load, dt, quasi_static=solver.quasi_static, substep=solver.substep)
 
     def _refuse_unknown(self, poses: Mapping[str, Pose]) -> None:
         names = [tool.name for tool in self.model.tools]

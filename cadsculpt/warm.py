@@ -33,7 +33,12 @@ def warm_up(scene: Scene) -> None:
             "units": "mm",
             "model": [{"name": "plate", "file": "plate", "thickness": 2.0, "nodes": 2.0, "material": "clay"}],
             "tool": tools,
-            "solver": {"resolution": 13, "mode": scene.solver.mode, "step": 1e-4},
+            "solver": {
+                "resolution": 13,
+                "mode": scene.solver.mode,
+                "integrator": scene.solver.integrator,
+                "step": 1e-4,
+            },
         }
     )
     if any("superquadric" in _shapes(tool) for tool in scene.tool):

@@ -153,7 +153,7 @@ def advance(
             longest *= CUT
     count = max(1, math.ceil(dt / longest * (1.0 - 1e-12)))
     if load is None:
-        load = _NO_LOAD
+        load = NO_LOAD
     contacts = len(load.nodes)
     depth = np.array(load.depth, dtype=np.float64)
     mean_force, end_force = np.zeros((contacts, 3)), np.zeros((contacts, 3))
@@ -205,7 +205,7 @@ _SUPERSONIC = "parts of the lattice move faster than sound does in the material"
 _CALMER = "reduce the step, the tool's speed or the depth it presses to"
 
 _NO_FORCE: Array = np.zeros((0, 3))
-_NO_LOAD = ContactLoad(
+NO_LOAD = ContactLoad(
     np.zeros((0, 4), dtype=np.int64),
     np.zeros((0, 4)),
     np.zeros((0, 3)),

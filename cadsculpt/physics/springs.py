@@ -29,6 +29,9 @@ SHORTEST, LONGEST = 0.4, 2.5
 """Plastic flow changes a spring's rest length to no less and no more than these multiples: clay that is dense, foil that is
 drawn out. A cell squeezed to nothing would turn inside out."""
 
+LEAST_TANGENT = 1e-3
+"""Of a spring's stiffness: what a spring that flows without hardening keeps in the tangent, so that it can be solved."""
+
 
 @njit
 def _lengths(xa: Array, xb: Array, ya: Array, yb: Array, za: Array, zb: Array, length: Array) -> None:
@@ -104,6 +107,101 @@ def spring_forces(
         for axis in range(3):
             _pull(q, x[axis, a:b], x[axis, c:e], force[axis, a:b])
             _push(q, x[axis, a:b], x[axis, c:e], force[axis, c:e])
+
+
+@njit
+def spring_tangents(
+    segments: Index,
+    stiffness: Array,
+    initial_length: Array,
+    yield_strain: Array,
+    hardening: Array,
+    plastic: bool,
+    definite: bool,
+    x: Array,
+    before: Array,
+    trial: Array,
+    flow: Array,
+    rest_length: Array,
+    force: Array,
+    effort: Array,
+    blocks: Array,
+    work: Array,
+) -> None:
+    """What an implicit step needs at positions x (3, N + 2), padded: rest lengths after flow, forces and tangents.
+
+    before (13, N) : rest lengths at the start; rest_length (13, N) receives those after return mapping. force (3, N +
+    2), padded, is added to; effort (N + 2) too: the sum of |k (L - L_p)| of a node's springs. work (2, >= longest run).
+
+    blocks (13, N, 6) receives the tangents H = k_t n n + side (1 - n n), side = k (L - L_p) / L, as xx, yy, zz, xy, yz,
+    zx. When `definite`, side is cut off at 0: without what pushes compressed springs sideways no lattice is unstable.
+    k_t is the tangent of the primal-dual method (Chan, Golub, Mulet 1999). With T the trial stress of `_flow`, in
+    lengths, and y its limit, the spring's stress is y w, w = T / max(y, |T|); w is followed as an unknown of its own,
+
+        k_t / k = hardening + (1 - hardening) y / max(y, |T|) (1 - w sign T)    while |T| > y,
+
+    which is the consistent tangent once w is right, and stiffer while a spring that flowed the other way turns round:
+    plain Newton iterations overshoot there by the ratio of the two stiffnesses. trial, flow (13, N) : T and w of the
+    iteration before, replaced by the new ones unless `definite`, which asks about the same iteration; T is NaN at first.
+    """
+    for row in range(len(segments)):
+        d, start, stop, shift = segments[row]
+        a, b = start + 1, stop + 1
+        c, e = a + shift, b + shift
+        length = work[0, : stop - start]
+        rest = rest_length[d, start:stop]
+        for m in range(len(rest)):
+            rest[m] = before[d, start + m]
+        _lengths(x[0, a:b], x[0, c:e], x[1, a:b], x[1, c:e], x[2, a:b], x[2, c:e], length)
+        if plastic:
+            _flow(length, initial_length[d, start:stop], yield_strain[d, start:stop], hardening[d, start:stop], rest)
+        for m in range(len(rest)):
+            n = start + m
+            k = stiffness[d, n]
+            if k == 0.0:
+                continue
+            p, q = n + 1, n + 1 + shift
+            along = k
+            limit = (1.0 - hardening[d, n]) * yield_strain[d, n] * initial_length[d, n]
+            if plastic and limit < math.inf:
+                h = hardening[d, n]
+                new = (1.0 - h) * length[m] - before[d, n] + h * initial_length[d, n]
+                if not definite:
+                    old, w = trial[d, n], new / limit
+                    if abs(old) > limit:
+                        turned = flow[d, n] if old > 0.0 else -flow[d, n]
+                        w = (new - turned * (new - old)) / abs(old)
+                    trial[d, n], flow[d, n] = new, min(max(w, -1.0), 1.0)
+                w = flow[d, n] if new > 0.0 else -flow[d, n]
+                clamped = not SHORTEST * initial_length[d, n] < rest[m] < LONGEST * initial_length[d, n]
+                if abs(new) > limit and not clamped:
+                    along *= h + (1.0 - h) * limit / abs(new) * (1.0 - w)
+                    along = max(along, LEAST_TANGENT * k)
+            tension = k * (length[m] - rest[m])
+            side = tension / length[m]
+            ux, uy, uz = x[0, q] - x[0, p], x[1, q] - x[1, p], x[2, q] - x[2, p]
+            force[0, p] += side * ux
+            force[1, p] += side * uy
+            force[2, p] += side * uz
+            force[0, q] -= side * ux
+            force[1, q] -= side * uy
+            force[2, q] -= side * uz
+            effort[p] += abs(tension)
+            effort[q] += abs(tension)
+            if initial_length[d, n] <= 0.0 or length[m] * length[m] <= 2.0 * TINY:
+                # two nodes of one point: tied in every direction alike
+                blocks[d, n, 0] = blocks[d, n, 1] = blocks[d, n, 2] = k
+                blocks[d, n, 3] = blocks[d, n, 4] = blocks[d, n, 5] = 0.0
+                continue
+            if definite and side < 0.0:
+                side = 0.0
+            along = (along - side) / (length[m] * length[m])
+            blocks[d, n, 0] = along * ux * ux + side
+            blocks[d, n, 1] = along * uy * uy + side
+            blocks[d, n, 2] = along * uz * uz + side
+            blocks[d, n, 3] = along * ux * uy
+            blocks[d, n, 4] = along * uy * uz
+            blocks[d, n, 5] = along * uz * ux
 
 
 @njit
