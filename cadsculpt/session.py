@@ -332,7 +332,7 @@ class Session:
             mine = np.flatnonzero(contacts.face == index)
             load = None
             if not len(mine) and self._at_rest(index):
-                continue
+                continue  # nothing to integrate, however long the step
             if len(mine):
                 nodes, weights = node_weights(patch.lattice, contacts.u[mine], contacts.v[mine])
                 load = ContactLoad(
@@ -357,10 +357,12 @@ class Session:
         return forces, depths
 
     def _at_rest(self, index: int) -> bool:
-        """A lattice as it was built, on which nothing acts: it stays as it is."""
+        """A lattice as it was built, on which nothing acts: it stays as it is. (A sub-step that the scene forces is not
+        left unchecked until something acts.)"""
         lattice, state = self.model.patches[index].lattice, self.state.lattices[index]
         return (
-            not state.velocity.any()
+            self.model.scene.solver.substep is None
+            and not state.velocity.any()
             and np.array_equal(state.x, lattice.nodes)
             and np.array_equal(state.rest_length, lattice.rest_length)
         )
