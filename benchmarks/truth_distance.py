@@ -285,7 +285,9 @@ def compare(kind: str, a: BSplineSurface, b: BSplineSurface, occt: Occt, result:
     width = (ours.high - ours.low) / size
     result["distance_widest"] = max(result["distance_widest"], width)
     if VERBOSE:
-        print(f"{number} {kind} width {width:.1e} pairs {ours.pairs} {'E' * ours.exhausted} {took:.2f} s", file=sys.stderr)
+        print(
+            f"{number} {kind} width {width:.1e} pairs {ours.pairs} {'E' * ours.exhausted} {took:.2f} s", file=sys.stderr
+        )
     if result["distance_pairs"] % PROGRESS == 0:
         print(f"distance: {result['distance_pairs']} pairs", file=sys.stderr, flush=True)
     value, p, q = theirs

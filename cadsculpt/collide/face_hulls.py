@@ -21,13 +21,10 @@ Index = NDArray[np.int64]
 POINTS = 6
 """Corners of a unit square cut along two parallel lines, at most."""
 
-ROUNDING = 4e-15
-"""Rounding of a point in the domain's unit square."""
-
 
 def face_hulls(g: Patch, region: Region, rectangle: Array, corners: Array, sag: Array) -> tuple[Array, Array, Array]:
     """For cells (n,) that a border meets: points (n, POINTS, 3), some of them twice, how far (n,) the face over the cell
-    may lie from their hull, and the part (n,) of the cell's width that the hull holds beside the border."""
+    may lie from their hull, and how wide (n,), as a part of the cell, the strip is that the border runs in."""
     n = len(rectangle)
     hull, grown, beside = np.empty((n, POINTS, 3)), np.empty(n), np.empty(n)
     clip_cells(
@@ -53,7 +50,7 @@ def clip_cells(
                     where[m, 2 * c + end] = (rectangle[k, 2 * c + end] - low[c]) / size[c] + shifts[m, c]
         for i in range(4):
             polygon[i, 0], polygon[i, 1] = 1.0 if i == 1 or i == 2 else 0.0, 1.0 if i >= 2 else 0.0
-        count = 4
+        count, cut = 4, False
         grown[k], beside[k] = sag[k], 1.0
         border[0], border[1] = 0.0, 0.0
         for m in range(len(shifts)):
@@ -84,14 +81,17 @@ def clip_cells(
                     if left > 0:
                         count = left
                         polygon[:count] = other[:count]
-                        beside[k] = min(1.0, border[3] - border[2])
+                        cut = True
+            # what is not cut off beside the border is face
+            least, most = min(nx, 0.0) + min(ny, 0.0), max(nx, 0.0) + max(ny, 0.0)
+            beside[k] = min(1.0, max(0.0, min(most, border[3]) - max(least, border[2])))
         for i in range(POINTS):
             s, t = polygon[min(i, count - 1), 0], polygon[min(i, count - 1), 1]
             for c in range(3):
                 hull[k, i, c] = (1.0 - t) * ((1.0 - s) * corners[k, 0, c] + s * corners[k, 1, c]) + t * (
                     (1.0 - s) * corners[k, 2, c] + s * corners[k, 3, c]
                 )
-        if beside[k] < 1.0:
+        if cut:
             grown[k] += g.slack + twisted(corners[k], polygon, count)
             if g.rational:
                 grown[k] += skewed(g, rectangle[k], corners[k])
@@ -101,7 +101,7 @@ def clip_cells(
 def border_between(
     chords: Array, deviation: Array, box: Array, where: Array, nx: float, ny: float, stack: Index, border: Array
 ) -> None:
-    """Take the chords that come into a rectangle (`where`, in the domain's unit square) into `border` (4,): the length of
+    """Take the chords that come into a rectangle (`where`, in the region's coordinates) into `border` (4,): the length of
     each times cosine and sine of its doubled angle are added to the first two, the last two are the least and the largest
     of nx x + ny y over the border; all in the rectangle's own coordinates x, y."""
     leaves = (len(box) + 1) // 2
@@ -111,12 +111,7 @@ def border_between(
     while top > 0:
         top -= 1
         k = stack[top]
-        if (
-            box[k, 0] > s1 + ROUNDING
-            or box[k, 2] < s0 - ROUNDING
-            or box[k, 1] > t1 + ROUNDING
-            or box[k, 3] < t0 - ROUNDING
-        ):
+        if box[k, 0] > s1 or box[k, 2] < s0 or box[k, 1] > t1 or box[k, 3] < t0:
             continue
         if k < leaves - 1:
             stack[top], stack[top + 1] = 2 * k + 1, 2 * k + 2
@@ -124,7 +119,7 @@ def border_between(
             continue
         first = (k - leaves + 1) * LEAF
         for i in range(first, min(first + LEAF, len(chords))):
-            d = deviation[i] + ROUNDING
+            d = deviation[i]
             gx, gy = d / (s1 - s0), d / (t1 - t0)
             x0, y0 = (chords[i, 0] - s0) / (s1 - s0), (chords[i, 1] - t0) / (t1 - t0)
             dx, dy = (chords[i, 2] - chords[i, 0]) / (s1 - s0), (chords[i, 3] - chords[i, 1]) / (t1 - t0)

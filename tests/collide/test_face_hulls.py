@@ -27,7 +27,8 @@ def ring(surface):
     (u0, u1), (v0, v1) = surface.domain
     size = np.array([u1 - u0, v1 - v0])
     loops = [
-        TrimLoop((TrimCurve(np.array([u0, v0]) + (CENTRE + r * ROUND) * size, ARC, 2, WEIGHTS),)) for r in (OUTER, INNER)
+        TrimLoop((TrimCurve(np.array([u0, v0]) + (CENTRE + r * ROUND) * size, ARC, 2, WEIGHTS),))
+        for r in (OUTER, INNER)
     ]
     return replace(surface, trims=tuple(loops))
 
