@@ -117,15 +117,17 @@ class Region:
             r = np.array([(rectangle[:2] - self.low[0]) / self.size[0], (rectangle[2:] - self.low[1]) / self.size[1]])
             r += shift[:, None]
             a, b = self.chords[:, :2], self.chords[:, 2:]
-            near = ((np.minimum(a, b) <= r[:, 1]) & (np.maximum(a, b) >= r[:, 0])).all(axis=1)
+            off = self.deviation[:, None]
+            near = ((np.minimum(a, b) <= r[:, 1] + off) & (np.maximum(a, b) >= r[:, 0] - off)).all(axis=1)
             parts = []
             where = np.flatnonzero(near)
             if len(where) > 4 * most:
                 # boxes that meet are not chords that do: a few more than are wanted
                 where = where[np.linspace(0, len(where) - 1, 4 * most).astype(np.int64)]
             for k in where:
-                inner = _clip(a[k], b[k], r)
-                whole = _clip(a[k], b[k], self.domain.T + shift[:, None])
+                wide = float(self.deviation[k]) * np.array([-1.0, 1.0])
+                inner = _clip(a[k], b[k], r + wide)
+                whole = _clip(a[k], b[k], self.domain.T + shift[:, None] + wide)
                 if inner is None or whole is None:
                     continue
                 ends = a[k] + np.outer(whole, b[k] - a[k])
