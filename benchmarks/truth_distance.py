@@ -45,7 +45,6 @@ ALLOWANCE = 1e-6
 PATIENCE = 10.0
 """Seconds that OpenCASCADE has for a pair; then another pair takes its place."""
 
-VERBOSE = bool(os.environ.get("TD_VERBOSE"))
 PROGRESS = 20
 """Pairs between two lines of progress."""
 
@@ -284,10 +283,6 @@ def compare(kind: str, a: BSplineSurface, b: BSplineSurface, occt: Occt, result:
     result["distance_exhausted"] += ours.exhausted
     width = (ours.high - ours.low) / size
     result["distance_widest"] = max(result["distance_widest"], width)
-    if VERBOSE:
-        print(
-            f"{number} {kind} width {width:.1e} pairs {ours.pairs} {'E' * ours.exhausted} {took:.2f} s", file=sys.stderr
-        )
     if result["distance_pairs"] % PROGRESS == 0:
         print(f"distance: {result['distance_pairs']} pairs", file=sys.stderr, flush=True)
     value, p, q = theirs

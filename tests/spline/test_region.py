@@ -106,7 +106,9 @@ def test_random_trims_against_points(seed):
             assert edge or not (~part & (got == ON)).any()
 
 
-@pytest.mark.parametrize(("size", "middle"), [((10.0, 4.0), (5.0, 2.0)), ((4e4, 4.0), (2e4, 2.0)), ((1e4, 1e4), (3e3, 3e3))])
+@pytest.mark.parametrize(
+    ("size", "middle"), [((10.0, 4.0), (5.0, 2.0)), ((4e4, 4.0), (2e4, 2.0)), ((1e4, 1e4), (3e3, 3e3))]
+)
 def test_the_border_is_as_sharp_on_a_surface_far_larger_than_the_face(size, middle):
     region = Region.of(sheet(circle(middle, 1.5), size=size))
     angle = np.linspace(0, 2 * np.pi, 500)
