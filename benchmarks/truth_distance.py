@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import count
+from itertools import cycle
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -76,9 +76,8 @@ def turned(rng: np.random.Generator, points: Array, shift: Array) -> Array:
 
 def random_pairs(rng: np.random.Generator) -> Iterator[tuple[str, BSplineSurface, BSplineSurface]]:
     """Apart, near, touching and crossing, in turn, without end."""
-    for k in count():
+    for kind in cycle(("apart", "near", "touching", "crossing")):
         a, b = random_surface(rng), random_surface(rng)
-        kind = ("apart", "near", "touching", "crossing")[k % 4]
         direction = rng.normal(size=3)
         direction /= np.linalg.norm(direction)
         middle = a.control_points.mean(axis=(0, 1)) - b.control_points.mean(axis=(0, 1))

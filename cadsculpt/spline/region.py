@@ -50,7 +50,8 @@ class Region:
 
     chords (k, 4) : s0, t0, s1, t1. deviation (k,) : how far the curve leaves each. box (nodes, 4) : low s, low t, high
     s, high t of a complete binary tree over leaves of LEAF chords, deviations included. shifts (m, 2) : images of a
-    point that count too, one period away on closed surfaces. domain (2, 2) : low and high of the surface's. width : the largest deviation, with BORDER.
+    point that count too, one period away on closed surfaces. domain (2, 2) : low and high of the surface's. width : the
+    largest deviation, with BORDER.
     """
 
     chords: Array
