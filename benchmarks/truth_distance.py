@@ -21,10 +21,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from cadsculpt.collide.distance import distance
 from cadsculpt.collide.grid import PatchGrid
-from cadsculpt.collide.query import SurfaceTool
+from cadsculpt.collide.query import PointTool, SurfaceTool
 from cadsculpt.errors import CadsculptError
 from cadsculpt.spline.surface import BSplineSurface
 
@@ -222,15 +223,28 @@ FLAT = BSplineSurface(
 
 
 def off_face(surface: BSplineSurface, point: Array) -> float:
-    """How far a point is from a face: the least over a dense grid of its vertices on the face, less what a cell hides."""
+    """How far a point is from a face, at least: by a dense grid of vertices on it, less what a cell hides, or by how far it is
+    from the whole surface."""
     grid = PatchGrid.of(surface, 200)
     points = grid.matrices.points(np.array(surface.control_points), surface.weights)
     cell = max(
         float(np.linalg.norm(np.diff(points, axis=0), axis=2).max()),
         float(np.linalg.norm(np.diff(points, axis=1), axis=2).max()),
     )
-    points = points[grid.inside] if grid.inside is not None else points.reshape(-1, 3)
-    return float(np.linalg.norm(points - point, axis=1).min()) - 2.0 * cell
+    face = points[grid.inside] if grid.inside is not None else points.reshape(-1, 3)
+    least = float(np.linalg.norm(face - point, axis=1).min()) - 2.0 * cell
+    # or from the whole surface: least squares from the nearest vertices, and the certified bound has to say so too
+    names = np.argsort(np.linalg.norm(points.reshape(-1, 3) - point, axis=1))[:5]
+    starts = np.stack([grid.matrices.u[names // points.shape[1]], grid.matrices.v[names % points.shape[1]]], axis=1)
+    low, high = np.array(surface.domain).T
+    away = min(
+        float(
+            np.linalg.norm(least_squares(lambda x: surface.evaluate(*x) - point, x, bounds=(low, high), xtol=1e-15).fun)
+        )
+        for x in np.clip(starts, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+    )
+    bound = distance(tool(replace(surface, trims=None)), PointTool(point, 1.0), tolerance=1e-9).low
+    return max(least, min(away, bound))
 
 
 def distance_truth(seed: int = 1, pairs: int = 200) -> dict[str, Any]:
