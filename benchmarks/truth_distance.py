@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import os
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import cycle
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from cadsculpt.collide.distance import distance
 from cadsculpt.collide.grid import PatchGrid
-from cadsculpt.collide.query import SurfaceTool
+from cadsculpt.collide.query import PointTool, SurfaceTool
 from cadsculpt.errors import CadsculptError
 from cadsculpt.spline.surface import BSplineSurface
 
@@ -37,6 +42,12 @@ BUDGET = 30_000
 
 ALLOWANCE = 1e-6
 """What OpenCASCADE's own tolerances leave open, as a part of the pair's size (its confusion is 1e-7 on top)."""
+
+PATIENCE = 10.0
+"""Seconds that OpenCASCADE has for a pair; then another pair takes its place."""
+
+PROGRESS = 20
+"""Pairs between two lines of progress."""
 
 
 def random_surface(rng: np.random.Generator) -> BSplineSurface:
@@ -64,11 +75,10 @@ def turned(rng: np.random.Generator, points: Array, shift: Array) -> Array:
     return moved
 
 
-def random_pairs(rng: np.random.Generator, count: int) -> Iterator[tuple[str, BSplineSurface, BSplineSurface]]:
-    """Apart, near, touching and crossing, in turn."""
-    for k in range(count):
+def random_pairs(rng: np.random.Generator) -> Iterator[tuple[str, BSplineSurface, BSplineSurface]]:
+    """Apart, near, touching and crossing, in turn, without end."""
+    for kind in cycle(("apart", "near", "touching", "crossing")):
         a, b = random_surface(rng), random_surface(rng)
-        kind = ("apart", "near", "touching", "crossing")[k % 4]
         direction = rng.normal(size=3)
         direction /= np.linalg.norm(direction)
         middle = a.control_points.mean(axis=(0, 1)) - b.control_points.mean(axis=(0, 1))
@@ -87,8 +97,9 @@ def random_pairs(rng: np.random.Generator, count: int) -> Iterator[tuple[str, BS
         yield kind, a, b
 
 
-def trimmed_pairs(rng: np.random.Generator, count: int) -> Iterator[tuple[str, BSplineSurface, BSplineSurface]]:
-    """Faces of the corpus' parts, one of each pair turned and moved so that they are apart, near or crossing."""
+def trimmed_pairs(rng: np.random.Generator) -> Iterator[tuple[str, BSplineSurface, BSplineSurface]]:
+    """Faces of the corpus' parts, one of each pair turned and moved so that they are apart, near or crossing; without
+    end, or empty without a corpus."""
     corpus = os.environ.get("CADSCULPT_CORPUS")
     if not corpus:
         return
@@ -112,8 +123,7 @@ def trimmed_pairs(rng: np.random.Generator, count: int) -> Iterator[tuple[str, B
             if len(mine) == 24:
                 break
         faces += mine
-    made = 0
-    while faces and made < count:
+    while faces:
         a, b = (faces[int(k)] for k in rng.integers(0, len(faces), 2))
         # faces of one size, about each other: nothing is learnt from a screw beside a wing
         box_a, box_b = (face_box(s) for s in (a, b))
@@ -123,7 +133,6 @@ def trimmed_pairs(rng: np.random.Generator, count: int) -> Iterator[tuple[str, B
         net = (b.control_points - box_b.mean(axis=0)) * (size_a / size_b) + box_a.mean(axis=0)
         direction = rng.normal(size=3)
         direction *= rng.choice([0.2, 0.5, 1.0]) * size_a / np.linalg.norm(direction)
-        made += 1
         yield "trimmed", a, replace(b, control_points=turned(rng, net, direction))
 
 
@@ -153,66 +162,161 @@ def occt_distance(a: BSplineSurface, b: BSplineSurface) -> tuple[float, Array, A
     return float(found.Value()), points[0], points[1]
 
 
+def answer(ask: Connection) -> None:
+    """Answer pairs of faces with OpenCASCADE's distance, until the other end closes."""
+    while True:
+        try:
+            a, b = ask.recv()
+        except EOFError:
+            return
+        try:
+            ask.send(occt_distance(a, b))
+        except Exception as error:  # whatever OpenCASCADE raises is no distance
+            print(f"OpenCASCADE: {error}", file=sys.stderr, flush=True)
+            ask.send(None)
+
+
+class Occt:
+    """OpenCASCADE in a process of its own, which is ended and begun again where it does not answer in time."""
+
+    def __init__(self) -> None:
+        self._child: Any = None
+        self._ask: Any = None
+
+    def distance(self, a: BSplineSurface, b: BSplineSurface) -> tuple[float, Array, Array] | None:
+        """As `occt_distance`; None too where it takes longer than PATIENCE, or its process ends."""
+        if self._child is None:
+            own = multiprocessing.get_context("spawn")
+            self._ask, its = own.Pipe()
+            self._child = own.Process(target=answer, args=(its,))
+            self._child.start()
+            its.close()
+            # importing takes longer than a pair
+            self._ask.send((FLAT, FLAT))
+            if not self._ask.poll(60.0):
+                raise SystemExit("OpenCASCADE did not start within a minute")
+            self._ask.recv()
+        try:
+            self._ask.send((a, b))
+            if self._ask.poll(PATIENCE):
+                found: tuple[float, Array, Array] | None = self._ask.recv()
+                return found
+        except (EOFError, OSError):
+            pass
+        self.close()
+        return None
+
+    def close(self) -> None:
+        """End the process."""
+        if self._child is not None:
+            self._ask.close()
+            self._child.kill()
+            self._child.join()
+            self._child = None
+
+
+FLAT = BSplineSurface(
+    np.stack([*np.meshgrid([0.0, 1.0], [0.0, 1.0], indexing="ij"), np.zeros((2, 2))], axis=-1),
+    np.array([0.0, 0.0, 1.0, 1.0]), np.array([0.0, 0.0, 1.0, 1.0]), 1, 1,
+)  # fmt: skip
+"""A square, to ask for a first answer."""
+
+
 def off_face(surface: BSplineSurface, point: Array) -> float:
-    """How far a point is from a face: the least over a dense grid of its vertices on the face, less what a cell hides."""
+    """How far a point is from a face, at least: by a dense grid of vertices on it, less what a cell hides, or by how far it is
+    from the whole surface."""
     grid = PatchGrid.of(surface, 200)
     points = grid.matrices.points(np.array(surface.control_points), surface.weights)
     cell = max(
         float(np.linalg.norm(np.diff(points, axis=0), axis=2).max()),
         float(np.linalg.norm(np.diff(points, axis=1), axis=2).max()),
     )
-    points = points[grid.inside] if grid.inside is not None else points.reshape(-1, 3)
-    return float(np.linalg.norm(points - point, axis=1).min()) - 2.0 * cell
+    face = points[grid.inside] if grid.inside is not None else points.reshape(-1, 3)
+    least = float(np.linalg.norm(face - point, axis=1).min()) - 2.0 * cell
+    # or from the whole surface: least squares from the nearest vertices, and the certified bound has to say so too
+    names = np.argsort(np.linalg.norm(points.reshape(-1, 3) - point, axis=1))[:5]
+    starts = np.stack([grid.matrices.u[names // points.shape[1]], grid.matrices.v[names % points.shape[1]]], axis=1)
+    low, high = np.array(surface.domain).T
+    away = min(
+        float(
+            np.linalg.norm(least_squares(lambda x: surface.evaluate(*x) - point, x, bounds=(low, high), xtol=1e-15).fun)
+        )
+        for x in np.clip(starts, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+    )
+    bound = distance(tool(replace(surface, trims=None)), PointTool(point, 1.0), tolerance=1e-9).low
+    return max(least, min(away, bound))
 
 
-def distance_truth(seed: int, pairs: int = 200) -> dict[str, Any]:
+def distance_truth(seed: int = 1, pairs: int = 200) -> dict[str, Any]:
     """Compare intervals with OpenCASCADE over this many pairs, trimmed faces among them where there is a corpus.
 
-    Keys: distance_pairs, distance_outside_interval, distance_occt_wrong (one line each), distance_occt_failed,
-    distance_widest (relative to the pair's size), distance_exhausted, distance_trimmed.
+    Keys: distance_pairs, distance_trimmed, distance_outside_interval, distance_outside and distance_occt_wrong (one line
+    each), distance_occt_failed (pairs without an answer from OpenCASCADE, replaced by others), distance_widest (relative
+    to the pair's size), distance_exhausted, distance_seconds and distance_occt_seconds.
     """
     rng = np.random.default_rng(seed)
     result: dict[str, Any] = {
-        "distance_pairs": 0, "distance_trimmed": 0, "distance_outside_interval": 0, "distance_occt_wrong": [],
-        "distance_outside": [], "distance_occt_failed": 0, "distance_widest": 0.0, "distance_exhausted": 0,
+        "distance_pairs": 0, "distance_trimmed": 0, "distance_outside_interval": 0, "distance_outside": [],
+        "distance_occt_wrong": [], "distance_occt_failed": 0, "distance_widest": 0.0, "distance_exhausted": 0,
         "distance_seconds": 0.0, "distance_occt_seconds": 0.0,
     }  # fmt: skip
-    with_trims = TRIMMED if os.environ.get("CADSCULPT_CORPUS") else 0
-    cases = [*trimmed_pairs(rng, min(with_trims, pairs // 2))]
-    cases += [*random_pairs(rng, pairs - len(cases))]
-    for number, (kind, a, b) in enumerate(cases):
-        size = max(float(np.linalg.norm(np.ptp(face_box(s), axis=0))) for s in (a, b))
-        start = time.perf_counter()
-        ours = distance(tool(a), tool(b), budget=BUDGET)
-        middle = time.perf_counter()
-        theirs = occt_distance(a, b)
-        result["distance_seconds"] += middle - start
-        result["distance_occt_seconds"] += time.perf_counter() - middle
-        result["distance_pairs"] += 1
-        result["distance_trimmed"] += kind == "trimmed"
-        result["distance_exhausted"] += ours.exhausted
-        result["distance_widest"] = max(result["distance_widest"], (ours.high - ours.low) / size)
-        if theirs is None:
-            result["distance_occt_failed"] += 1
-            continue
-        value, p, q = theirs
-        allowed = ALLOWANCE * size + 2e-7
-        if ours.low - allowed <= value <= ours.high + allowed:
-            continue
-        line = f"pair {number} ({kind}): [{ours.low:.9g}, {ours.high:.9g}], OpenCASCADE {value:.9g}"
-        if value > ours.high and ours.a is not None and ours.b is not None:
-            nearer = float(np.linalg.norm(a.evaluate(ours.a.u, ours.a.v) - b.evaluate(ours.b.u, ours.b.v)))
-            if nearer < value - allowed and on(a, ours.a.u, ours.a.v) and on(b, ours.b.u, ours.b.v):
-                result["distance_occt_wrong"].append(f"{line}; two points are {nearer:.9g} apart")
-                continue
-        if value < ours.low:
-            away = max(off_face(a, p), off_face(b, q))
-            if away > allowed:
-                result["distance_occt_wrong"].append(f"{line}; its point is {away:.3g} off the face")
-                continue
-        result["distance_outside_interval"] += 1
-        result["distance_outside"].append(line)
+    trimmed = 0
+    occt = Occt()
+    try:
+        for kind, a, b in trimmed_pairs(rng):
+            if trimmed == min(TRIMMED, pairs // 2):
+                break
+            trimmed += compare(kind, a, b, occt, result)
+        for kind, a, b in random_pairs(rng):
+            if result["distance_pairs"] >= pairs:
+                break
+            compare(kind, a, b, occt, result)
+    finally:
+        occt.close()
     return result
+
+
+def compare(kind: str, a: BSplineSurface, b: BSplineSurface, occt: Occt, result: dict[str, Any]) -> bool:
+    """Compare one pair, and enter it in the result; False where OpenCASCADE gives no distance."""
+    size = max(float(np.linalg.norm(np.ptp(face_box(s), axis=0))) for s in (a, b))
+    start = time.perf_counter()
+    theirs = occt.distance(a, b)
+    result["distance_occt_seconds"] += time.perf_counter() - start
+    if theirs is None:
+        result["distance_occt_failed"] += 1
+        print(f"distance: no answer from OpenCASCADE ({kind})", file=sys.stderr, flush=True)
+        return False
+    start = time.perf_counter()
+    ours = distance(tool(a), tool(b), budget=BUDGET)
+    took = time.perf_counter() - start
+    result["distance_seconds"] += took
+    number = result["distance_pairs"]
+    result["distance_pairs"] += 1
+    result["distance_trimmed"] += kind == "trimmed"
+    result["distance_exhausted"] += ours.exhausted
+    width = (ours.high - ours.low) / size
+    result["distance_widest"] = max(result["distance_widest"], width)
+    if result["distance_pairs"] % PROGRESS == 0:
+        print(f"distance: {result['distance_pairs']} pairs", file=sys.stderr, flush=True)
+    value, p, q = theirs
+    allowed = ALLOWANCE * size + 2e-7
+    if ours.low - allowed <= value <= ours.high + allowed:
+        return True
+    line = f"pair {number} ({kind}): [{ours.low:.9g}, {ours.high:.9g}], OpenCASCADE {value:.9g}"
+    if value > ours.high and ours.a is not None and ours.b is not None:
+        nearer = float(np.linalg.norm(a.evaluate(ours.a.u, ours.a.v) - b.evaluate(ours.b.u, ours.b.v)))
+        if nearer < value - allowed and on(a, ours.a.u, ours.a.v) and on(b, ours.b.u, ours.b.v):
+            result["distance_occt_wrong"].append(f"{line}; two points are {nearer:.9g} apart")
+            return True
+    if value < ours.low:
+        away = max(off_face(a, p), off_face(b, q))
+        if away > allowed:
+            result["distance_occt_wrong"].append(f"{line}; its point is {away:.3g} off the face")
+            return True
+    print(f"distance: outside: {line}", file=sys.stderr, flush=True)
+    result["distance_outside_interval"] += 1
+    result["distance_outside"].append(line)
+    return True
 
 
 def on(surface: BSplineSurface, u: float, v: float) -> bool:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..spline.region import ON, Region
+from ..spline.region import MIXED, Region
 from .broad import extents_of
 from .cells import Cells, halves, kept_cells, span_rectangles
+from .face_hulls import POINTS, face_hulls
 from .grid import PatchGrid
 from .query import SurfaceTool
 from .workspace import Patch, Workspace
@@ -87,19 +88,26 @@ class SurfaceBody:
 
 @dataclass(slots=True, eq=False)
 class CellStore:
-    """Cells of a body's patches, as they are made. patch (n,) : whose; ball (n, 4) : centre and radius in one; doubt
-    (n,) : how far the hull of the corners may lie from a point of the face, the part of a pair's error that cutting the
-    cell makes smaller."""
+    """Cells of a body's patches, as they are made. patch (n,) : whose; hull (n, 4 or POINTS, 3) : the corners, or points
+    about the face where its border runs through the cell; grown (n,) : the face lies within it of the hull; ball (n, 4) :
+    centre and radius in one; doubt (n,) : how far the hull may lie from a point of the face, the part of a pair's error
+    that cutting the cell makes smaller."""
 
     body: SurfaceBody
     patch: Index = field(default_factory=lambda: np.zeros(0, np.int64))
     rectangle: Array = field(default_factory=lambda: np.zeros((0, 4)))
     corners: Array = field(default_factory=lambda: np.zeros((0, 4, 3)))
     sag: Array = field(default_factory=lambda: np.zeros(0))
+    hull: Array = field(init=False)
+    grown: Array = field(default_factory=lambda: np.zeros(0))
     ball: Array = field(default_factory=lambda: np.zeros((0, 4)))
     cut: Index = field(default_factory=lambda: np.zeros(0, np.int64))
     on: Index = field(default_factory=lambda: np.zeros(0, np.int64))
     doubt: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        trimmed = any(grid.surface.trims is not None for grid in self.body.tool.grids)
+        self.hull = np.zeros((0, POINTS if trimmed else 4, 3))
 
     def spans(self, k: int) -> Index:
         """The places of the cells of all spans of patch k, made now; none where the face lies in no span."""
@@ -107,15 +115,24 @@ class CellStore:
 
     def _add(self, k: int, rectangle: Array) -> tuple[Index, Index]:
         """New cells of patch k: their places, and which of the rectangles (n, 4) they are over."""
-        cells, kept = kept_cells(self.body.patch(k), self.body.region(k), rectangle)
+        region = self.body.region(k)
+        cells, kept = kept_cells(self.body.patch(k), region, rectangle)
         c = cells.corners
         twist = 0.25 * np.linalg.norm(c[:, 0] - c[:, 1] - c[:, 2] + c[:, 3], axis=1)
-        doubt = cells.sag + twist + np.where(cells.on == ON, 0.0, cells.radius)
+        doubt = cells.sag + twist
+        # a corner more than once is the same hull
+        hull, grown = np.concatenate([c, c[:, : self.hull.shape[1] - 4]], axis=1), cells.sag.copy()
+        mixed = np.flatnonzero(cells.on == MIXED)
+        if region is not None and len(mixed):
+            hull[mixed], grown[mixed], beside = face_hulls(
+                self.body.patch(k), region, cells.rectangle[mixed], c[mixed], cells.sag[mixed]
+            )
+            doubt[mixed] = grown[mixed] + twist[mixed] + np.minimum(1.0, 2.0 * beside) * cells.radius[mixed]
         ball = np.concatenate([cells.centre, cells.radius[:, None]], axis=1)
         first = len(self.sag)
         for name, value in (
             ("patch", np.full(len(kept), k)), ("rectangle", cells.rectangle), ("corners", c), ("sag", cells.sag),
-            ("ball", ball), ("cut", cells.cut), ("on", cells.on), ("doubt", doubt),
+            ("hull", hull), ("grown", grown), ("ball", ball), ("cut", cells.cut), ("on", cells.on), ("doubt", doubt),
         ):  # fmt: skip
             setattr(self, name, np.concatenate([getattr(self, name), value]))
         return np.arange(first, first + len(kept)), kept
@@ -129,7 +146,7 @@ class CellStore:
 
     def only(self, at: Index) -> None:
         """Forget all cells but these, which take the places 0, 1, ..."""
-        for name in ("patch", "rectangle", "corners", "sag", "ball", "cut", "on", "doubt"):
+        for name in ("patch", "rectangle", "corners", "sag", "hull", "grown", "ball", "cut", "on", "doubt"):
             setattr(self, name, np.ascontiguousarray(getattr(self, name)[at]))
 
     def halve(self, at: Index) -> tuple[Index, Index]:

@@ -4,6 +4,7 @@
 |---|---|
 | B-spline, B-spline | pairs of cells (`surface_distance`) |
 | B-spline, field or point | cells (`field_distance`) |
+| mesh, mesh | pairs of triangles (`mesh_distance`), exact to rounding |
 | field or point, field or point | a tree of boxes (`field_distance`) |
 
 A B-spline body is its faces, a field the solid that it bounds. That one body lies inside another whose faces it does not
@@ -19,6 +20,8 @@ from ..errors import InputError
 from .body import GridCache, SurfaceBody
 from .field_distance import PointField, box_of, fields_distance, surface_field_distance
 from .interval import BUDGET, DistanceInterval, Goal
+from .mesh_distance import meshes_distance
+from .mesh_field import StandingMesh
 from .query import DistanceField, FieldTool, PointTool, SurfaceTool
 from .surface_distance import surface_distance
 
@@ -60,6 +63,8 @@ def distance(
         return surface_field_distance(second, first, goal).interval(swapped=True)
     assert not isinstance(first, SurfaceBody)
     assert not isinstance(second, SurfaceBody)
+    if isinstance(first, StandingMesh) and isinstance(second, StandingMesh):
+        return meshes_distance(first.in_world(), second.in_world(), goal)
     return fields_distance(first, second, goal).interval()
 
 

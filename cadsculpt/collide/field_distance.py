@@ -142,7 +142,7 @@ def _lower(
         return known
     search.pairs += len(cells)
     centre, radius = store.ball[cells, :3], store.ball[cells, 3]
-    corners, sag = store.corners[cells], store.sag[cells]
+    hull, grown = store.hull[cells], store.grown[cells]
     value = signed_distance(field, centre)
     lower = np.maximum(known, value - radius - noise)
     near = np.flatnonzero(lower < search.cutoff)
@@ -150,8 +150,8 @@ def _lower(
         behind = field.gradient(np.ascontiguousarray(centre[near]))
         for t in [*(k * radius[near] for k in BEHIND), np.full(len(near), far)]:
             q = centre[near] + t[:, None] * behind
-            reach = np.linalg.norm(corners[near] - q[:, None], axis=2).max(axis=1)
-            bound = signed_distance(field, q) - reach - sag[near] - noise - 1e-15 * t
+            reach = np.linalg.norm(hull[near] - q[:, None], axis=2).max(axis=1)
+            bound = signed_distance(field, q) - reach - grown[near] - noise - 1e-15 * t
             lower[near] = np.maximum(lower[near], bound)
     _corners(store, cells[near], field, search)
     return np.maximum(lower, 0.0)

@@ -12,7 +12,8 @@ from .field_distance import signed_distance
 from .interval import Witness
 from .nearest_pair import nearest_pair
 from .pairs import SurfacePairs
-from .query import DetectOptions, DistanceField
+from .query import Crossings, DetectOptions, DistanceField
+from .tri_tri import CROSSING
 from .workspace import Patch, make_points
 
 Array = NDArray[np.float64]
@@ -21,6 +22,9 @@ Side = SurfaceBody | DistanceField
 
 SAME = 1e-3
 """Two points nearer than this part of a grid's cell are one."""
+
+SPREAD = 0.5
+"""The same where the surfaces lie on each other: there is no curve to follow, and every point is as good."""
 
 BISECTIONS = 60
 """Halvings of a grid's edge until the point where a field changes its sign is found to rounding."""
@@ -68,8 +72,8 @@ def surfaces_meet(a: SurfaceBody, b: SurfaceBody, touch: float) -> SurfacePairs:
     `touch` apart and on both faces."""
     options = DetectOptions(tolerance=0.0)
     crossings = detect(a.tool.grids, a.tool.nets, [b.tool], options).crossings
-    rows, points = [], []
-    for n in range(len(crossings)):
+    rows, points, along = [], [], []
+    for n in _worth(crossings).tolist():
         k, l = int(crossings.face[n]), int(crossings.tool_face[n])
         g, h = a.patch(k), b.patch(l)
         middle = crossings.segment[n].mean(axis=0)
@@ -82,6 +86,7 @@ def surfaces_meet(a: SurfaceBody, b: SurfaceBody, touch: float) -> SurfacePairs:
             continue
         rows.append((k, *x[:2], l, *x[2:]))
         points.append(found[:2])
+        along.append(crossings.relation[n] == CROSSING)
     if not rows:
         return SurfacePairs.none()
     table, both = np.array(rows), np.array(points)
@@ -91,7 +96,19 @@ def surfaces_meet(a: SurfaceBody, b: SurfaceBody, touch: float) -> SurfacePairs:
         face_a, table[:, 1], table[:, 2], face_b, table[:, 4], table[:, 5], both[:, 0], both[:, 1], normal,
         np.zeros(len(table)),
     )  # fmt: skip
-    return pairs.ordered().apart(SAME * min(_cell(a), _cell(b)))
+    cell, curve = min(_cell(a), _cell(b)), np.array(along)
+    flat = pairs.chosen(np.flatnonzero(~curve)).ordered().apart(SPREAD * cell)
+    return SurfacePairs.joined([pairs.chosen(np.flatnonzero(curve)), flat]).ordered().apart(SAME * cell)
+
+
+def _worth(crossings: Crossings) -> Index:
+    """Which crossings lead to points of their own: all that cross; of those that only touch or lie in one plane, one for
+    each of the model's triangles."""
+    curve = crossings.relation == CROSSING
+    flat = np.flatnonzero(~curve)
+    names = np.column_stack([crossings.face[flat], crossings.tool_face[flat], crossings.model_triangle[flat]])
+    first = np.unique(names, axis=0, return_index=True)[1]
+    return np.sort(np.concatenate([np.flatnonzero(curve), flat[first]]))
 
 
 def _off(body: SurfaceBody, face: int, uv: Array) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit
+from .interval import DistanceInterval, Goal, Search, Witness
 from .mesh_field import MeshField
 from .mesh_tree import DEEPEST, ROUNDING, MeshTree
 from .tri_distance import tri_distance2
@@ -47,6 +48,24 @@ def mesh_distance(a: MeshField, b: MeshField) -> MeshDistance:
     distance = float(np.sqrt(nearest_pair(a.tree, b.tree, (bound + rounding) ** 2, points, triangles)))
     low, high = (distance - rounding, distance + rounding) if distance > 0.0 else (0.0, 0.0)
     return MeshDistance(max(low, 0.0), high, points.reshape(2, 3), triangles)
+
+
+def meshes_distance(a: MeshField, b: MeshField, goal: Goal) -> DistanceInterval:
+    """The distance of the bodies of two meshes: a closed one is its inside too, an open one its triangles."""
+    found, search = mesh_distance(a, b), Search(goal)
+    search.lower_high(found.high, Witness(found.points[0]), Witness(found.points[1]))
+    search.bound(found.low)
+    if found.low > 0.0:
+        for outer, inner in ((a, b), (b, a)):
+            # every lump's vertices lie on one side
+            low, high = outer.box()
+            vertices = inner.mesh.vertices
+            vertices = vertices[((vertices > low) & (vertices < high)).all(axis=1)] if outer.closed else vertices[:0]
+            held = np.flatnonzero(outer.distance(vertices) < 0.0)
+            if len(held):
+                point = Witness(vertices[held[0]].copy())
+                return DistanceInterval(0.0, 0.0, point, point, True, False, 0)
+    return DistanceInterval(search.low, search.high, search.a, search.b, search.decided, False, 0)
 
 
 @njit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,7 +77,20 @@ class MeshField:
         """Low and high corner (2, 3)."""
         return self.mesh.box
 
+    def in_world(self) -> MeshField:
+        """Itself: its own frame is the world's."""
+        return self
+
     def moved(self, rotation: Array, at: Array) -> MeshField:
         """The mesh turned and moved, x -> rotation @ x + at, with a tree of its own: for distances to other meshes."""
         vertices = np.ascontiguousarray(self.mesh.vertices @ rotation.T + at)
         return MeshField.of(replace(self.mesh, vertices=vertices))
+
+
+@runtime_checkable
+class StandingMesh(Protocol):
+    """A field that is a mesh somewhere: its triangles can be had where they stand."""
+
+    def in_world(self) -> MeshField:
+        """The mesh in the world's frame."""
+        ...

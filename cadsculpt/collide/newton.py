@@ -27,6 +27,9 @@ TAYLOR = 1e-6
 NEWTON_STEPS = 32
 """Newton takes 3 to 6 steps from a neighbouring grid point; creases of the surface stop it and go to `compass`."""
 
+SPOKES = 32
+"""Directions out of a pole that are tried for one that leads nearer."""
+
 
 @njit
 def newton(
@@ -46,7 +49,7 @@ def newton(
     u, v = found[U], found[V]
     tolerance = 4.0 * slack
     f = approach(net, knots_u, knots_v, p, q, rational, u, v, x, y, z, h, scratch)
-    converged, open_border = False, False
+    converged, open_border, left = False, False, 0
     # pieces per parameter: the third derivatives over a step of this relative size are below rounding
     span_u, span_v = (net.shape[0] - p) * p / (u1 - u0), (net.shape[1] - q) * q / (v1 - v0)
     for _ in range(NEWTON_STEPS):
@@ -65,6 +68,14 @@ def newton(
             held_v and off_v > oblique and not poles & (4 if v <= v0 else 8)
         )
         if (held_u or off_u <= tolerance) and (held_v or off_v <= tolerance):
+            if left < 2 and poles != 0 and (u <= u0 or u >= u1 or v <= v0 or v >= v1):
+                # at rest at a pole: in this direction only, perhaps
+                left += 1
+                un, vn = off_pole(net, knots_u, knots_v, p, q, rational, poles, u, v, f, x, y, z, h, scratch)
+                fn = approach(net, knots_u, knots_v, p, q, rational, un, vn, x, y, z, h, scratch)
+                if fn < f:
+                    u, v, f = un, vn, fn
+                    continue
             converged = True
             break
         # (near a pole one tangent is rounding, and so would be the side)
@@ -144,6 +155,50 @@ def newton(
     for k in range(3):
         found[NORMAL + k] = (nx, ny, nz)[k] / length if length > 0.0 else 0.0
     return BORDER if open_border else PROPER
+
+
+@njit
+def off_pole(
+    net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, poles: int, u: float, v: float, f: float,
+    x: float, y: float, z: float, h: Array, scratch: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """From a point on a pole, at the squared distance f, to one beside it that is nearer: (u, v) itself where it is on no
+    pole or no direction leads nearer.
+
+    At a pole all parameters of its edge are one point, and the derivative across the edge turns with them: that Newton
+    rests there says nothing of the other directions.
+    """
+    u0, u1 = knots_u[p], knots_u[len(knots_u) - p - 1]
+    v0, v1 = knots_v[q], knots_v[len(knots_v) - q - 1]
+    for bit in (1, 2, 4, 8):
+        along_v = bit < 4
+        t, end = (u, u0 if bit == 1 else u1) if along_v else (v, v0 if bit == 4 else v1)
+        if not poles & bit or t != end:
+            continue
+        low, high = (v0, v1) if along_v else (u0, u1)
+        best, at, step = 0.0, 0.0, 0.0
+        across = 1 if along_v else 2
+        for k in range(SPOKES):
+            s = low + (k + 0.5) / SPOKES * (high - low)
+            un, vn = (u, s) if along_v else (s, v)
+            approach(net, knots_u, knots_v, p, q, rational, un, vn, x, y, z, h, scratch)
+            slope, speed2 = 0.0, 0.0
+            for c in range(3):
+                slope += (h[0, c] - (x if c == 0 else (y if c == 1 else z))) * h[across, c]
+                speed2 += h[across, c] * h[across, c]
+            inward = slope if bit == 1 or bit == 4 else -slope
+            if speed2 > 0.0 and inward / np.sqrt(speed2) < best:
+                best, at, step = inward / np.sqrt(speed2), s, -slope / speed2
+        if not best < 0.0:
+            continue
+        most = 0.25 * ((u1 - u0) if along_v else (v1 - v0))
+        step = min(max(step, -most), most)
+        for _ in range(40):
+            un, vn = (u + step, at) if along_v else (at, v + step)
+            if approach(net, knots_u, knots_v, p, q, rational, un, vn, x, y, z, h, scratch) < f:
+                return un, vn
+            step *= 0.5
+    return u, v
 
 
 @njit

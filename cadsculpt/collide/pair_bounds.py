@@ -1,4 +1,4 @@
-"""Lower bounds for the distance of two pieces of surface: spheres first, then the hulls of their corners.
+"""Lower bounds for the distance of two pieces of surface: spheres first, then hulls.
 
 Any direction proves a gap: the distance of two sets is at least that of their shadows on a line. GJK (Gilbert, Johnson,
 Keerthi 1988; `hull.nearest_in_simplex`) finds a good direction; the bound is the shadows' gap along the best one, less
@@ -66,14 +66,13 @@ def hull_gap(a: Array, b: Array, worth: float, enough: float) -> float:
 
 @njit
 def pair_bounds(
-    corners_a: Array, sag_a: Array, ball_a: Array, corners_b: Array, sag_b: Array, ball_b: Array, pairs: Index,
+    hull_a: Array, grown_a: Array, ball_a: Array, hull_b: Array, grown_b: Array, ball_b: Array, pairs: Index,
     known: Array, enough: float, lower: Array,
 ) -> None:  # fmt: skip
     """Lower bounds, into lower (k,), of the distance over pairs (k, 2) of cells of two bodies; never below `known` (k,),
     what is proved of the cells that they are parts of.
 
-    corners (n, 4, 3), sag (n,), ball (n, 4) : as in `cells.Cells`, centre and radius in one. A bound above `enough`
-    need not be sharp.
+    hull (n, k, 3), grown (n,), ball (n, 4) : as in `body.CellStore`. A bound above `enough` need not be sharp.
     """
     for k in range(len(pairs)):
         a, b = pairs[k, 0], pairs[k, 1]
@@ -84,5 +83,5 @@ def pair_bounds(
             d += x * x
         lower[k] = max(known[k], np.sqrt(d) * (1.0 - 1e-15) - ball_a[a, 3] - ball_b[b, 3] - 1e-14 * largest)
         if lower[k] <= enough:
-            sag = sag_a[a] + sag_b[b]
-            lower[k] = max(lower[k], hull_gap(corners_a[a], corners_b[b], sag, enough + sag) - sag)
+            sag = grown_a[a] + grown_b[b]
+            lower[k] = max(lower[k], hull_gap(hull_a[a], hull_b[b], sag, enough + sag) - sag)

@@ -131,7 +131,10 @@ def _rim(grid: PatchGrid, g: Patch) -> tuple[Array, Array]:
     """The trim curves as pieces from (u, v) to (u, v), (k, 2) each, none much longer than a cell."""
     region = grid.region
     assert region is not None
-    starts, ends = region.chords[:, :2], region.chords[:, 2:]
+    corner, size = np.array([g.u[0], g.v[0]]), np.array([g.u[-1] - g.u[0], g.v[-1] - g.v[0]])
+    starts, ends = (
+        (region.low - corner + region.size * x) / size for x in (region.chords[:, :2], region.chords[:, 2:])
+    )
     # a trim that runs over the seam of a closed surface, brought back by whole periods
     period = np.array([g.wrap_u, g.wrap_v], dtype=np.float64)
     turn = np.floor(0.5 * (starts + ends)) * period
@@ -143,5 +146,4 @@ def _rim(grid: PatchGrid, g: Patch) -> tuple[Array, Array]:
     across = (ends - starts)[which]
     low = starts[which] + across * (place / count[which])[:, None]
     high = starts[which] + across * ((place + 1) / count[which])[:, None]
-    corner, size = np.array([g.u[0], g.v[0]]), np.array([g.u[-1] - g.u[0], g.v[-1] - g.v[0]])
     return corner + size * np.clip(low, 0.0, 1.0), corner + size * np.clip(high, 0.0, 1.0)

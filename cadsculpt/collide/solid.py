@@ -29,12 +29,12 @@ UPRIGHT = 0.5
 
 
 def is_solid(side: SurfaceBody | DistanceField) -> bool:
-    """Whether a body bounds a volume: fields do; B-spline patches that close on themselves, or whose open edges all lie
-    on one another (to `surface_contacts.EDGE` of the body's size); points do not."""
+    """Whether a body bounds a volume: fields do, but for open meshes; B-spline patches that close on themselves, or whose
+    open edges all lie on one another (to `surface_contacts.EDGE` of the body's size); points do not."""
     if isinstance(side, PointField):
         return False
     if not isinstance(side, SurfaceBody):
-        return True
+        return bool(getattr(side, "closed", True))  # an open mesh has no inside
     edges = [edge for k in range(len(side.tool.grids)) for edge in _open_edges(side, k)]
     if not edges:
         return True

@@ -116,7 +116,7 @@ def _opened(stores: tuple[CellStore, CellStore], i: Index, j: Index, front: _Fro
 def _bounded(stores: tuple[CellStore, CellStore], pairs: Index, known: Array, search: Search) -> _Frontier:
     a, b = stores
     lower = np.empty(len(pairs))
-    pair_bounds(a.corners, a.sag, a.ball, b.corners, b.sag, b.ball, pairs, known, search.cutoff, lower)
+    pair_bounds(a.hull, a.grown, a.ball, b.hull, b.grown, b.ball, pairs, known, search.cutoff, lower)
     search.pairs += len(pairs)
     return _Frontier(np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1]), lower)
 

@@ -24,13 +24,20 @@ OFF, ON, MIXED = 0, 1, 2
 """A rectangle lies wholly off the face, wholly on it, or the face's border (or what cannot be told from it) meets it."""
 
 DEVIATION = 2e-8
-"""How far a chord may leave its trim curve, as a part of the surface's domain: the border is known to this width."""
+"""How far a chord may leave its trim curve, as a part of the face's extent: the border is known to this width."""
 
 CHORDS = 2048
-"""Most chords for one span of a trim curve; where these do not reach DEVIATION, the border is as wide as they leave it."""
+"""Most chords for a span of a trim curve, or a part of one; where they do not reach DEVIATION, the border is as wide as
+they leave it."""
+
+MANY, PARTS = 64, 16
+"""A span of a trim curve that would take more chords than MANY is looked at in so many parts."""
 
 BORDER = 1e-9
-"""A point this near to a chord is on the border, as a part of the domain: what files round off."""
+"""A point this near to a chord is on the border, as a part of the face's extent: what files round off."""
+
+SMALL = 1e-5
+"""Faces narrower than this part of the domain are taken for that wide: below is rounding."""
 
 LEAF = 4
 """Chords in one leaf of the tree of boxes over them."""
@@ -38,11 +45,13 @@ LEAF = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Region:
-    """The trimmed face of a surface, in coordinates in which its domain is the unit square.
+    """The trimmed face of a surface, in coordinates in which the box of its trims is the unit square: on a surface that is
+    far larger than the face, both ways or one way, the border is as sharp as on any other.
 
     chords (k, 4) : s0, t0, s1, t1. deviation (k,) : how far the curve leaves each. box (nodes, 4) : low s, low t, high
     s, high t of a complete binary tree over leaves of LEAF chords, deviations included. shifts (m, 2) : images of a
-    point that count too, one period away on closed surfaces. width : the largest deviation, with BORDER.
+    point that count too, one period away on closed surfaces. domain (2, 2) : low and high of the surface's. width : the
+    largest deviation, with BORDER.
     """
 
     chords: Array
@@ -51,6 +60,7 @@ class Region:
     shifts: Array
     low: Array
     size: Array
+    domain: Array
     width: float
 
     @classmethod
@@ -59,25 +69,31 @@ class Region:
         if surface.trims is None:
             return None
         (u0, u1), (v0, v1) = surface.domain
-        low, size = np.array([u0, v0]), np.array([u1 - u0, v1 - v0])
+        whole = np.array([u1 - u0, v1 - v0])
+        net = np.concatenate([curve.control_points for loop in surface.trims for curve in loop.curves])
+        low, size = net.min(axis=0), np.maximum(np.ptp(net, axis=0), SMALL * whole)
+        domain = (np.array([[u0, v0], [u1, v1]]) - low) / size
+        period = whole / size
+        # what is lost where a parameter far from zero is brought into the unit square
+        lost = 2e-16 * float((np.abs([[u0, v0], [u1, v1]]) / size).max())
         chords, deviation = [np.zeros((0, 4))], [np.zeros(0)]
         for loop in surface.trims:
             parts = [_chain(curve, low, size) for curve in loop.curves]
             for k, (points, off) in enumerate(parts):
                 chords.append(np.concatenate([points[:-1], points[1:]], axis=1))
-                deviation.append(off)
+                deviation.append(off + lost)
                 # where two curves do not quite meet, a chord joins them
                 following = parts[(k + 1) % len(parts)][0]
                 chords.append(np.concatenate([points[-1:], following[:1]], axis=1))
-                deviation.append(np.zeros(1))
+                deviation.append(np.full(1, lost))
         lines, off = np.ascontiguousarray(np.concatenate(chords)), np.concatenate(deviation)
         shifts = [
-            (s, t)
+            (s * period[0], t * period[1])
             for s in ((0.0, 1.0, -1.0) if surface.closed_u else (0.0,))
             for t in ((0.0, 1.0, -1.0) if surface.closed_v else (0.0,))
         ]
         width = float(off.max(initial=0.0)) + BORDER
-        return cls(lines, off, _tree(lines, off), np.array(shifts), low, size, width)
+        return cls(lines, off, _tree(lines, off), np.array(shifts), low, size, domain, width)
 
     def classify(self, rectangles: Array) -> Index:
         """OFF, ON or MIXED for rectangles (n, 4): u0, u1, v0, v1. Conservative: OFF and ON are certain."""
@@ -102,20 +118,22 @@ class Region:
             r = np.array([(rectangle[:2] - self.low[0]) / self.size[0], (rectangle[2:] - self.low[1]) / self.size[1]])
             r += shift[:, None]
             a, b = self.chords[:, :2], self.chords[:, 2:]
-            near = ((np.minimum(a, b) <= r[:, 1]) & (np.maximum(a, b) >= r[:, 0])).all(axis=1)
+            off = self.deviation[:, None]
+            near = ((np.minimum(a, b) <= r[:, 1] + off) & (np.maximum(a, b) >= r[:, 0] - off)).all(axis=1)
             parts = []
             where = np.flatnonzero(near)
             if len(where) > 4 * most:
                 # boxes that meet are not chords that do: a few more than are wanted
                 where = where[np.linspace(0, len(where) - 1, 4 * most).astype(np.int64)]
             for k in where:
-                inner = _clip(a[k], b[k], r)
-                whole = _clip(a[k], b[k], np.array([[0.0, 1.0], [0.0, 1.0]]) + shift[:, None])
+                wide = float(self.deviation[k]) * np.array([-1.0, 1.0])
+                inner = _clip(a[k], b[k], r + wide)
+                whole = _clip(a[k], b[k], self.domain.T + shift[:, None] + wide)
                 if inner is None or whole is None:
                     continue
                 ends = a[k] + np.outer(whole, b[k] - a[k])
                 middle = (0.5 * (inner[0] + inner[1]) - whole[0]) / max(whole[1] - whole[0], 1e-300)
-                chord = self.low + (np.clip(ends - shift, 0.0, 1.0)) * self.size
+                chord = self.low + np.clip(ends - shift, *self.domain) * self.size
                 parts.append((chord, float(np.clip(middle, 0.0, 1.0)), float(self.deviation[k])))
             found += parts
         if len(found) > most:
@@ -140,19 +158,26 @@ def _clip(a: Array, b: Array, box: Array) -> tuple[float, float] | None:
 def _chain(curve: TrimCurve, low: Array, size: Array) -> tuple[Array, Array]:
     """Points (n + 1, 2) of a trim curve in the unit square, and how far it leaves each of the n chords between them."""
     from .matrices import span_parameters
+    from .refine import insert_knots
 
     net = np.zeros((len(curve.control_points), 2, 3))
     net[:, :, :2] = ((curve.control_points - low) / size)[:, None]
     knots = np.array([0.0, 0.0, 1.0, 1.0])
     weights = None if curve.weights is None else np.repeat(curve.weights[:, None], 2, axis=1)
     # the curve as a surface that does not depend on its second parameter: one bound on second derivatives for both
-    bent = derivative_bounds(BSplineSurface(net, curve.knots, knots, curve.degree, 1, weights))[:, 0, S_UU]
-    edges, _ = span_parameters(curve.knots, curve.degree, 1)
-    length = np.diff(edges)
-    if curve.degree == 1:
-        bent = np.zeros_like(bent)
-    pieces = np.clip(np.ceil(length * np.sqrt(bent / (8.0 * DEVIATION))), 1, CHORDS).astype(np.int64)
-    t, _ = span_parameters(curve.knots, curve.degree, pieces)
+    surface = BSplineSurface(net, curve.knots, knots, curve.degree, 1, weights)
+    for first in (True, False):
+        edges, _ = span_parameters(surface.knots_u, curve.degree, 1)
+        length = np.diff(edges)
+        bent = derivative_bounds(surface)[:, 0, S_UU] if curve.degree > 1 else np.zeros(len(length))
+        wanted = np.ceil(length * np.sqrt(bent / (8.0 * DEVIATION)))
+        if not (first and (wanted > MANY).any()):
+            break
+        # what bends at one end of a span, or only in its control points, bends less in most of its parts
+        inner = edges[:-1, None] + length[:, None] * np.arange(1, PARTS) / PARTS
+        surface = insert_knots(surface, knots_u=inner[wanted > MANY].ravel())
+    pieces = np.clip(wanted, 1, CHORDS).astype(np.int64)
+    t, _ = span_parameters(surface.knots_u, curve.degree, pieces)
     off = np.repeat((length / pieces) ** 2 * bent / 8.0, pieces)
     points = (curve_points(curve, t) - low) / size
     return points, off * (1.0 + 1e-9) + 1e-15 * np.abs(points).max(initial=1.0)

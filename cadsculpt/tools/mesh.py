@@ -82,3 +82,7 @@ class PlacedMesh:
         low, high = self.rest.mesh.box
         middle, reach = self.pose.to_world(0.5 * (low + high)), np.abs(self.pose.rotation) @ (0.5 * (high - low))
         return np.array([middle - reach, middle + reach])
+
+    def in_world(self) -> MeshField:
+        """The mesh where it stands, with a tree of its own."""
+        return self.rest.moved(self.pose.rotation, self.pose.at)

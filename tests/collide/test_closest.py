@@ -8,7 +8,8 @@ from scipy.optimize import minimize
 
 from cadsculpt.collide.closest import closest_points
 from cadsculpt.collide.grid import PatchGrid
-from cadsculpt.collide.newton import approach, basis_2
+from cadsculpt.collide.newton import DISTANCE, POINT, U, V, approach, basis_2, newton
+from cadsculpt.collide.workspace import Workspace
 from cadsculpt.spline.surface import BSplineSurface
 
 
@@ -159,3 +160,35 @@ def test_basis_of_every_degree_sums_to_one_and_its_derivatives_to_zero():
         assert scratch[0, : p + 1].sum() == pytest.approx(1.0)
         assert scratch[1, : p + 1].sum() == pytest.approx(0.0, abs=1e-9)
         assert scratch[2, : p + 1].sum() == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_pole_is_no_trap_for_points_beside_it(shapes, turned):
+    """Starts on the pole, or across it from the point: the closest point lies on the other side."""
+    surface = shapes.ball(5.0)
+    if turned:  # the poles along the other parameter
+        surface = BSplineSurface(
+            surface.control_points.transpose(1, 0, 2), surface.knots_v, surface.knots_u, surface.degree_v,
+            surface.degree_u, surface.weights.T,
+        )  # fmt: skip
+    grid = PatchGrid.of(surface, (9, 9))
+    g = Workspace(grid, np.zeros(16, np.int64)).load(surface.control_points, paper=False, delta=0.0)
+    rng = np.random.default_rng(9)
+    h, scratch, found = np.empty((6, 4)), np.empty((9, 9)), np.zeros(9)
+    (u0, u1), (v0, v1) = surface.domain
+    for _ in range(300):
+        angle, aside = rng.uniform(0, 2 * np.pi), 10.0 ** rng.uniform(-4, 0.3)
+        x = np.array([aside * np.cos(angle), aside * np.sin(angle), rng.choice([-1, 1]) * rng.uniform(3.0, 8.0)])
+        high = rng.choice([0.0, 1.0])
+        start = [rng.random(), abs(high - rng.choice([0.0, 1e-9, 1e-3]))]
+        start = start[::-1] if turned else start
+        found[U], found[V] = u0 + start[0] * (u1 - u0), v0 + start[1] * (v1 - v0)
+        before = np.linalg.norm(surface.evaluate(found[U], found[V]) - x)
+        newton(
+            g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.poles, g.slack, 0.0,
+            *x, found, h, scratch,
+        )  # fmt: skip
+        assert found[DISTANCE] <= before + 1e-12
+        if before < np.linalg.norm(x):  # the start is on the nearer half
+            assert found[DISTANCE] == pytest.approx(abs(np.linalg.norm(x) - 5.0), abs=1e-9)
+            assert found[POINT : POINT + 3] == pytest.approx(5.0 * x / np.linalg.norm(x), abs=1e-5)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cadsculpt.collide.detect import FieldTool
+from cadsculpt.collide.distance import distance
 from cadsculpt.collide.mesh import TriangleMesh
 from cadsculpt.collide.mesh_distance import MeshDistance, mesh_distance
 from cadsculpt.collide.mesh_field import MeshField
+from cadsculpt.collide.proximity import proximity
 from cadsculpt.collide.tri_distance import triangle_distance
 from cadsculpt.motion.pose import Pose, rotation_matrix
-from cadsculpt.tools.mesh import MeshTool
+from cadsculpt.tools.mesh import MeshTool, PlacedMesh
 
 from .test_mesh import cube
 
@@ -102,6 +105,60 @@ def test_a_placed_mesh_is_a_field():
     np.testing.assert_allclose(placed.box(), moved.box(), atol=1e-15)
     assert placed.closed
     np.testing.assert_allclose(placed.vertices, moved.mesh.vertices, atol=1e-15)
+
+
+def placed(shape: trimesh.Trimesh, *at: float, turn: float = 0.0) -> FieldTool:
+    pose = Pose.turned(at, [1, 2, 3], turn)
+    return MeshTool.of(TriangleMesh.of(shape.vertices, shape.faces)).placed(pose)
+
+
+@pytest.mark.parametrize(
+    ("at", "verdict", "kind", "gap"),
+    [
+        ((5.5, 0.5, 0.0), "clear", "clear", 1.5),
+        ((4.0, 0.5, 0.25), "contact", "touching", 0.0),
+        ((3.7, 0.5, 0.25), "contact", "piercing", 0.0),
+        ((0.5, 0.5, 0.25), "contact", "contained", 0.0),
+    ],
+)
+def test_proximity_of_meshes_is_that_of_their_triangles(at, verdict, kind, gap):
+    large, ball = placed(trimesh.creation.box((6, 8, 10)), 0, 0, 0), placed(trimesh.creation.icosphere(2), *at)
+    for a, b in ((large, ball), (ball, large)):
+        found = proximity(a, b)
+        assert (found.verdict, found.kind) == (verdict, kind)
+        assert found.distance.low <= gap + 1e-15 <= found.distance.high + 2e-15
+        assert found.distance.high - found.distance.low < 1e-12
+        assert not found.distance.exhausted
+
+
+def test_distance_of_placed_meshes_against_all_pairs():
+    rng = np.random.default_rng(4)
+    torus, cone = trimesh.creation.torus(1.0, 0.3, 8, 5), trimesh.creation.cone(0.5, 2.0, sections=9)
+    for _ in range(4):
+        a, b = placed(torus, 0, 0, 0, turn=rng.uniform(0, 360)), placed(cone, *rng.normal(size=3) * 2.5, turn=40)
+        found = distance(a, b, tolerance=0.0)
+        truth = brute(a.field.in_world(), b.field.in_world())
+        assert found.low <= truth <= found.high
+        assert found.high - found.low < 1e-12
+        assert np.linalg.norm(found.a.point - found.b.point) == pytest.approx(truth, abs=1e-12)
+
+
+def test_a_lump_of_many_inside_a_mesh_counts():
+    box, far = trimesh.creation.box((4, 4, 4)), trimesh.creation.icosphere(1)
+    lumps = trimesh.util.concatenate(
+        [far.copy().apply_translation([9, 0, 0]), far.copy().apply_translation([0.2, 0, 0])]
+    )
+    for a, b in ((placed(box, 0, 0, 0), placed(lumps, 0, 0, 0)), (placed(lumps, 0, 0, 0), placed(box, 0, 0, 0))):
+        assert distance(a, b).high == 0.0
+
+
+def test_nothing_lies_inside_an_open_mesh():
+    box = trimesh.creation.box((4, 4, 4))
+    bin_ = trimesh.Trimesh(box.vertices, box.faces[:-2], process=False)
+    field = PlacedMesh(MeshField.of(TriangleMesh.of(bin_.vertices, bin_.faces)), Pose(np.zeros(3)))
+    found = proximity(FieldTool(field), placed(trimesh.creation.icosphere(1), 0.1, 0, 0))
+    assert (found.verdict, found.kind) == ("clear", "clear")
+    assert 0.85 <= found.distance.low <= found.distance.high < 1.2
 
 
 @pytest.mark.corpus

@@ -156,6 +156,24 @@ def test_sheets_that_cross_and_sheets_that_coincide(shapes):
     assert proximity(plate, standing).kind == "touching"
 
 
+def test_sheets_that_lie_on_each_other_meet_in_a_few_points_all_over(shapes):
+    """One for a cell or so, and none far from all; where sheets cross, the whole curve."""
+    bumpy = shapes.plate(height=lambda x, y: 0.4 * np.sin(x) * np.cos(y))
+    found = proximity(tool(bumpy), tool(bumpy))
+    assert found.kind == "touching"
+    points = found.contacts.point
+    assert 30 <= len(points) <= 2 * 8 * 8
+    assert np.abs(points - found.contacts.other).max() < 1e-9
+    apart = np.linalg.norm(points[:, None] - points, axis=2) + 1e9 * np.eye(len(points))
+    assert apart.min() > 0.3
+    vertices = PatchGrid.of(bumpy, 9).matrices.points(bumpy.control_points, None).reshape(-1, 3)
+    assert np.linalg.norm(vertices[:, None] - points, axis=2).min(axis=1).max() < 2.0
+    tilted = tool(shapes.plate(height=lambda x, y: 0.3 * (x - 4.1)))
+    curve = proximity(tool(shapes.plate()), tilted).contacts.point
+    assert np.abs(curve[:, 0] - 4.1).max() < 1e-8
+    assert np.diff(np.sort(curve[:, 1])).max() < 1.3
+
+
 def test_points(shapes):
     ball = tool(shapes.ball())
     found = proximity(ball, point(7, 1, 2))

@@ -104,3 +104,50 @@ def test_random_trims_against_points(seed):
             edge = i in (0, 10) or j in (0, 10)
             assert not (part & (got == OFF)).any()
             assert edge or not (~part & (got == ON)).any()
+
+
+@pytest.mark.parametrize(
+    ("size", "middle"), [((10.0, 4.0), (5.0, 2.0)), ((4e4, 4.0), (2e4, 2.0)), ((1e4, 1e4), (3e3, 3e3))]
+)
+def test_the_border_is_as_sharp_on_a_surface_far_larger_than_the_face(size, middle):
+    region = Region.of(sheet(circle(middle, 1.5), size=size))
+    angle = np.linspace(0, 2 * np.pi, 500)
+    for off in (-1e-6, 1e-6):
+        at = np.array(middle) + (1.5 + off) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        assert (region.locate(at) == (ON if off < 0 else OFF)).all()
+
+
+def test_curves_of_high_degree_are_known_as_sharply():
+    """Eleven degrees and a net that swings: the bound over the whole curve is far above what it bends anywhere."""
+    from cadsculpt.spline.trim import curve_points
+
+    rng = np.random.default_rng(6)
+    angle = np.linspace(0, 2 * np.pi, 12)
+    net = np.array([5.0, 2.0]) + 1.4 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    net[1:-1] += rng.normal(scale=0.3, size=(10, 2))
+    curve = TrimCurve(net, np.concatenate([np.zeros(12), np.ones(12)]), 11)
+    region = Region.of(sheet(TrimLoop((curve,))))
+    assert region.deviation.max() <= 2.1e-8
+    points = (curve_points(curve, np.linspace(0, 1, 3000)) - region.low) / region.size
+    starts, ways = region.chords[:-1, :2], (region.chords[:, 2:] - region.chords[:, :2])[:-1]
+    length = np.einsum("ij,ij->i", ways, ways)
+    for x in points:
+        w = np.clip(np.einsum("ij,ij->i", x - starts, ways) / length, 0, 1)
+        assert np.linalg.norm(starts + w[:, None] * ways - x, axis=1).min() <= region.deviation.max()
+
+
+def test_the_border_on_a_seam_is_found_from_both_sides():
+    net = np.repeat(np.concatenate([QUARTERS, np.zeros((9, 1))], axis=1)[:, None], 2, axis=1)
+    net[:, 1, 2] = 1.0
+    weights = np.repeat(CIRCLE_WEIGHTS[:, None], 2, axis=1)
+    loop = polygon([(0.7, 0.21), (1.0, 0.21), (1.0, 0.83), (0.7, 0.83)])
+    tube = BSplineSurface(net, CIRCLE_KNOTS * 0.25, np.array([0.0, 0, 1, 1]), 2, 1, weights, trims=(loop,))
+    region = Region.of(tube)
+    for rectangle in ([0.99, 1.0, 0.3, 0.31], [0.0, 0.01, 0.3, 0.31]):
+        assert region.classify(np.array([rectangle])) == [MIXED]
+        chords = region.border_in(np.array(rectangle))
+        assert chords
+        for chord, part, _ in chords:
+            at = chord[0] + part * (chord[1] - chord[0])
+            assert rectangle[0] - 1e-12 <= at[0] <= rectangle[1] + 1e-12
+            assert rectangle[2] <= at[1] <= rectangle[3]
