@@ -199,12 +199,12 @@ def _compile(scene: SceneFile, tell: Callable[[Progress], None]) -> float:
     started = time.perf_counter()
     from ..jit import first_compilation
 
-    first = first_compilation()
-    tell(Progress("compiling", note="first run on this machine: compiling the kernels, once" if first else ""))
+    compiling = Progress("compiling", note="first run on this machine: compiling the kernels, once")
+    tell(compiling if first_compilation() else Progress("compiling"))
     from ..warm import kinds_of, warm_beside, warm_up
 
     # compiling keeps one core busy for most of a minute: a second process takes a half
-    with compile_beside(warm_beside, kinds_of(scene)) as beside:
+    with compile_beside(warm_beside, kinds_of(scene), tell=lambda: tell(compiling)) as beside:
         warm_up(scene, beside.wait)
     return time.perf_counter() - started
 
