@@ -102,7 +102,12 @@ def fill(g0: Spans, g1: Spans, still: bool, trim: Trim, side: Side, start: int, 
     centre, radius, cut = side.centre[start:end], side.radius[start:end], side.cut[start:end]
     make_cells(g0, rectangle, on, first, sag_first, centre, radius, cut)
     if still:
-        last[:], sag_last[:] = first, sag_first
+        # (numba compiles the text of an error message for an assignment of one slice to another: three seconds)
+        for k in range(len(first)):
+            sag_last[k] = sag_first[k]
+            for e in range(4):
+                for c in range(3):
+                    last[k, e, c] = first[k, e, c]
     else:
         make_cells(g1, rectangle, on, last, sag_last, centre, radius, cut)
     side.child[start:end] = UNKNOWN
