@@ -21,7 +21,7 @@ SLOWEST = 8
 
 ENTRIES = {
     **{f"run, {kind} tool": f"warm_up(scene({kind!r}))" for kind in ("point", "sphere", "surface", "mesh")},
-    "beside a run, surface tool": 'warm_beside(["surface"])',
+    "beside a run, surface tool": 'warm_beside(["surface"], "explicit")',
     "beside a collision": "warm_collision_beside()",
     "collide, apart": "collide(plate(), (plate(), Pose([0.0, 0.0, 3.0])))",
     "collide, crossing": "collide(plate(), (plate(), Pose.turned([0.0, 5.0, 0.0], [1.0, 0.0, 0.0], 1.0)))",

@@ -204,7 +204,7 @@ def _compile(scene: SceneFile, tell: Callable[[Progress], None]) -> float:
     from ..warm import kinds_of, warm_beside, warm_up
 
     # compiling keeps one core busy for most of a minute: a second process takes a half
-    with compile_beside(warm_beside, kinds_of(scene), tell=lambda: tell(compiling)) as beside:
+    with compile_beside(warm_beside, kinds_of(scene), scene.solver.integrator, tell=lambda: tell(compiling)) as beside:
         warm_up(scene, beside.wait)
     return time.perf_counter() - started
 
