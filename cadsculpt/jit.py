@@ -1,7 +1,8 @@
 """The one way into numba: cached, GIL-free kernels, compiled once per machine and version.
 
 The cache lies in the user's cache folder, so that a read-only install works. `NUMBA_CACHE_DIR`, when set,
-wins. `first_compilation()` tells whether this machine has never compiled these kernels, so that a run can say so.
+wins. `first_compilation()` tells whether this machine has never compiled these kernels, so that a run can say so;
+`on_compilation()` tells the moment when one must be compiled, so that others can.
 """
 
 from __future__ import annotations
@@ -9,12 +10,14 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
 import platformdirs
+from numba.core import event, types
 
 from ._version import __version__
 
@@ -52,11 +55,42 @@ def first_compilation() -> bool:
     return next(CACHE_FOLDER.rglob("*.nbi"), None) is None
 
 
+class _First(event.Listener):  # type: ignore[misc]
+    """Calls back at the first kernel that is compiled; those that the cache holds are not."""
+
+    def __init__(self, tell: Callable[[], object]) -> None:
+        self.tell, self.told = tell, False
+
+    def on_start(self, event: Any) -> None:
+        if not self.told:
+            self.told = True
+            self.tell()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+@contextmanager
+def on_compilation(tell: Callable[[], object]) -> Iterator[None]:
+    """Within the context, call `tell` once, when a kernel must be compiled that the cache does not hold."""
+    with event.install_listener("numba:compile", _First(tell)):
+        yield
+
+
+def _once(dispatcher: Any) -> Any:
+    """The same kernel for all constants: numba would compile it again for each integer that a kernel calls it with."""
+    template, plain = dispatcher.get_call_template, types.unliteral
+    dispatcher.get_call_template = lambda args, kws: template(
+        tuple(map(plain, args)), {name: plain(value) for name, value in kws.items()}
+    )
+    return dispatcher
+
+
 def njit(function: F) -> F:
     """Compile with `cache=True, nogil=True` and no fastmath: signs that decide geometry must be IEEE's."""
-    return numba.njit(cache=True, nogil=True, fastmath=False)(function)  # type: ignore[no-any-return]
+    return _once(numba.njit(cache=True, nogil=True, fastmath=False)(function))  # type: ignore[no-any-return]
 
 
 def njit_inline(function: F) -> F:
     """As `njit`, always inlined by LLVM's caller: for the scalar pieces of a kernel."""
-    return numba.njit(cache=True, nogil=True, fastmath=False, forceinline=True)(function)  # type: ignore[no-any-return]
+    return _once(numba.njit(cache=True, nogil=True, fastmath=False, forceinline=True)(function))  # type: ignore[no-any-return]

@@ -1,14 +1,21 @@
-"""Compile, or load from the cache, every kernel that a scene's run will need: a tiny run with the same kinds of tools."""
+"""Compile, or load from the cache, every kernel that a scene's run will need: a tiny run with the same kinds of tools.
+
+Two processes share the work through the cache: `warm_up` compiles collision, `warm_beside` the lattice and continuous
+collision. Each comes to what the other compiles when that is done.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .collide.detect import DetectOptions, PatchGrid, detect
 from .collide.mesh import TriangleMesh
 from .model import SourceBody, build_model
+from .motion.motion import Motion
 from .motion.path import ToolPath
 from .motion.pose import Pose
 from .patch import SourceFace
@@ -18,45 +25,91 @@ from .spline.surface import BSplineSurface
 from .tools.make import make_tool
 from .tools.superquadric import SuperquadricTool
 
+Array = NDArray[np.float64]
+LOW = {"point": -0.1, "sphere": 2.9, "surface": -0.1, "mesh": -0.1}
+"""Heights at which the tools of each kind touch the plate."""
 
-def warm_up(scene: Scene) -> None:
-    """Run two steps of a plate of four by four control points under the scene's kinds of tools."""
-    kinds = {t.shape if t.shape in ("point", "surface", "mesh") else "sphere" for t in scene.tool}
-    tools: list[dict[str, Any]] = [{"name": kind, "shape": kind} for kind in sorted(kinds)]
+
+def kinds_of(scene: Scene) -> list[str]:
+    """The kinds of tools, for which there are different kernels, that a scene has."""
+    return sorted({tool.shape if tool.shape in LOW else "sphere" for tool in scene.tool})
+
+
+def warm_up(scene: Scene, beside: Callable[[], object] = lambda: None) -> None:
+    """Run two steps of a plate of four by four control points under the scene's kinds of tools.
+
+    beside : waits for the process in which `warm_beside` runs, if there is one.
+    """
+    if any("superquadric" in _shapes(tool) for tool in scene.tool):
+        SuperquadricTool.of((1.0, 1.0, 1.0), (1.0, 1.0)).field(np.zeros((1, 3)))
+    kinds = kinds_of(scene)
+    plate = _plate(10.0, 0.0)
+    grid = PatchGrid.of(plate, 13)
+    for spec in _tiny(kinds).tool:
+        made = make_tool(spec, 2.0, 2.0, 13, [_plate(4.0, 0.2)], _tetrahedron(4.0) if spec.shape == "mesh" else None)
+        low = Pose(np.array([5.0, 5.0, LOW[spec.shape]]))
+        detect([grid], [plate.control_points], [made.placed(low)], DetectOptions())
+    beside()
+    session = _session(kinds, scene.solver.mode, scene.solver.integrator)
+    for _ in range(2):
+        session.step()
+    session.refit_error(0)
+
+
+def warm_beside(kinds: Sequence[str], integrator: str) -> None:
+    """The kernels of the lattice and of continuous collision with the kinds of tools: for a second process."""
+    _warm_lattice(integrator)
+    session = _session(kinds, "certified", integrator)
+    nets = session.state.control_points
+    for index, pose in enumerate(session.state.poses):
+        above = Pose(pose.at + np.array([0.0, 0.0, 1.0]), pose.rotation)
+        session.lookahead.meeting(nets, Motion.between(above, pose), 0, index)
+
+
+def warm_collision_beside() -> None:
+    """What two B-spline bodies need late or only where they meet: for a second process, beside one that collides them."""
+    from .collide.nearest_pair import nearest_pair
+    from .collide.workspace import Spans
+
+    u, rows, tally = np.array([0.0, 1.0]), np.zeros((1, 2), np.int64), np.ones((1, 2), np.int64)
+    knots = np.array([0.0, 0.0, 1.0, 1.0])
+    net = np.ones((2, 2, 4))
+    net[1, :, 0], net[:, 1, 1] = 2.0, 2.0
+    first = np.zeros(2, np.int64)
+    square = Spans(net, knots, knots, 1, 1, False, False, False, u, u, first, first, rows, rows, tally, 1e-15)
+    free = np.full((2, 2), np.nan)
+    nearest_pair(square, square, np.full(4, 0.5), free, free, np.empty((4, 3)))
+    plate = _plate(10.0, 0.0)
+    grid = PatchGrid.of(plate, 13)
+    tool = make_tool(_tiny(["surface"]).tool[0], 2.0, 2.0, 13, [_plate(4.0, 0.2)])
+    low = Pose(np.array([5.0, 5.0, LOW["surface"]]))
+    detect([grid], [plate.control_points], [tool.placed(low)], DetectOptions())
+
+
+def _tiny(kinds: Sequence[str], mode: str = "certified", integrator: str = "explicit") -> Scene:
+    """A scene with one tool of each kind."""
+    tools: list[dict[str, Any]] = [{"name": kind, "shape": kind} for kind in kinds]
     for tool in tools:
         if tool["shape"] == "sphere":
             tool["radius"] = 3.0
         if tool["shape"] in ("surface", "mesh"):
             tool["file"] = "plate"
-    tiny = Scene.model_validate(
+    return Scene.model_validate(
         {
             "units": "mm",
             "model": [{"name": "plate", "file": "plate", "thickness": 2.0, "nodes": 2.0, "material": "clay"}],
             "tool": tools,
-            "solver": {
-                "resolution": 13,
-                "mode": scene.solver.mode,
-                "integrator": scene.solver.integrator,
-                "step": 1e-4,
-            },
+            "solver": {"resolution": 13, "mode": mode, "integrator": integrator, "step": 1e-4},
         }
     )
-    if any("superquadric" in _shapes(tool) for tool in scene.tool):
-        SuperquadricTool.of((1.0, 1.0, 1.0), (1.0, 1.0)).field(np.zeros((1, 3)))
-    low = {"point": -0.1, "sphere": 2.9, "surface": -0.1, "mesh": -0.1}
-    paths = {kind: ToolPath.resting(Pose(np.array([5.0, 5.0, low[kind]]))) for kind in kinds}
-    plate = _plate(10.0, 0.0)
-    # collision first: a second process may be at work on the lattice's kernels meanwhile
-    grid = PatchGrid.of(plate, 13)
+
+
+def _session(kinds: Sequence[str], mode: str, integrator: str) -> Session:
+    """The tiny scene's session, its tools in touch with the plate."""
+    paths = {kind: ToolPath.resting(Pose(np.array([5.0, 5.0, LOW[kind]]))) for kind in kinds}
     meshes = {"mesh": _tetrahedron(4.0)} if "mesh" in kinds else {}
-    for spec in tiny.tool:
-        made = make_tool(spec, 2.0, 2.0, 13, [_plate(4.0, 0.2)], meshes.get(spec.name))
-        detect([grid], [plate.control_points], [made.placed(paths[spec.name].pose(0.0))], DetectOptions())
-    body = SourceBody("plate", (SourceFace(1, "plate", plate),))
-    session = Session(build_model(tiny, [body], paths, {"surface": [_plate(4.0, 0.2)]}, meshes))
-    for _ in range(2):
-        session.step()
-    session.refit_error(0)
+    body = SourceBody("plate", (SourceFace(1, "plate", _plate(10.0, 0.0)),))
+    return Session(build_model(_tiny(kinds, mode, integrator), [body], paths, {"surface": [_plate(4.0, 0.2)]}, meshes))
 
 
 def _shapes(spec: ShapeSpec) -> set[str]:
@@ -64,19 +117,20 @@ def _shapes(spec: ShapeSpec) -> set[str]:
     return {spec.shape}.union(*(_shapes(part) for part in spec.part or ()))
 
 
-def warm_physics() -> None:
-    """The lattice's kernels alone: for a second process, beside one that compiles the rest."""
+def _warm_lattice(integrator: str) -> None:
+    """The lattice's kernels alone, so that nothing is compiled twice that the other process begins with."""
     from .physics.explicit import ContactLoad, LatticeState, advance
     from .physics.forces import contact_damping, contact_stiffness, node_weights
+    from .physics.implicit import advance_implicit
     from .physics.lattice import build_lattice
     from .physics.material import PRESETS
     from .physics.measures import nodal_stress
 
     u = np.linspace(0.0, 1.0, 4)
-    plate = _plate(10.0, 0.0)
+    plane = 10.0 * np.stack([*np.meshgrid(u, u, indexing="ij"), np.zeros((4, 4))], axis=-1)
     clay = PRESETS["clay"]
     lattice = build_lattice(
-        plate.evaluate(u[:, None], u), -plate.normal(u[:, None], u), u, u,
+        plane, np.broadcast_to([0.0, 0.0, -1.0], plane.shape), u, u,
         thickness=2.0, layers=2, material=[clay, clay], metres_per_unit=1e-3,
     )  # fmt: skip
     state = LatticeState.at_rest(lattice)
@@ -87,7 +141,10 @@ def warm_physics() -> None:
         nodes, weights, np.array([[0.0, 0.0, 1.0]]), 0.1 * one, one, np.zeros((1, 3)),
         stiffness * one, contact_damping(clay, stiffness, lattice) * one, 0.4 * one,
     )  # fmt: skip
-    advance(lattice, state, load, 1e-4)
+    if integrator == "explicit":
+        advance(lattice, state, load, 1e-4)
+    else:
+        advance_implicit(lattice, state, load, 1e-4)
     nodal_stress(lattice, state)
 
 

@@ -42,6 +42,8 @@ def command(
     """
     from ..collision import collide
     from ..formats.clash import body_named, clash_object
+    from ..formats.compile_beside import compile_beside
+    from ..warm import warm_collision_beside
 
     warnings: list[str] = []
     with ProgressDisplay(quiet=quiet) as progress:
@@ -49,7 +51,9 @@ def command(
             body_named(text, units, lambda name: progress.update("reading", remark=name), warnings) for text in (a, b)
         )
         progress.update("colliding")
-        result = collide(first.body, second.body, clearance=clearance, tolerance=tolerance)
+        remark = "first use on this machine: compiling the kernels, once"
+        with compile_beside(warm_collision_beside, tell=lambda: progress.update("compiling", remark=remark)):
+            result = collide(first.body, second.body, clearance=clearance, tolerance=tolerance)
     found = clash_object(result, first, second)
     if as_json:
         print_json(found)

@@ -8,11 +8,8 @@ partial folder, and `resume=True` goes on from its last checkpoint.
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -34,6 +31,7 @@ from ..spline.surface import BSplineSurface
 from ..units import conversion
 from . import patch_json, registry
 from .atomic import cannot_write, whole_path
+from .compile_beside import compile_beside
 from .contacts_csv import ContactsWriter, ForcesWriter, write_displacements
 from .frame_mesh import FaceMesh
 from .html_report.report import write_report
@@ -201,27 +199,14 @@ def _compile(scene: SceneFile, tell: Callable[[Progress], None]) -> float:
     started = time.perf_counter()
     from ..jit import first_compilation
 
-    first = first_compilation()
-    tell(Progress("compiling", note="first run on this machine: compiling the kernels, once" if first else ""))
-    # compiling keeps one core busy for half a minute: a second process takes a half, through the shared cache
-    beside = _compile_physics() if first else None
-    from ..warm import warm_up
+    compiling = Progress("compiling", note="first run on this machine: compiling the kernels, once")
+    tell(compiling if first_compilation() else Progress("compiling"))
+    from ..warm import kinds_of, warm_beside, warm_up
 
-    warm_up(scene)
-    if beside is not None:
-        beside.wait()
+    # compiling keeps one core busy for most of a minute: a second process takes a half
+    with compile_beside(warm_beside, kinds_of(scene), scene.solver.integrator, tell=lambda: tell(compiling)) as beside:
+        warm_up(scene, beside.wait)
     return time.perf_counter() - started
-
-
-def _compile_physics() -> subprocess.Popen[bytes] | None:
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-c", "from cadsculpt.warm import warm_physics; warm_physics()"],
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-        )  # fmt: skip
-    except OSError:
-        return None
 
 
 def _scene_hash(scene: SceneFile) -> str:

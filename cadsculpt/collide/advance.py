@@ -20,7 +20,7 @@ from ..jit import njit, njit_inline
 from ..spline.region import MIXED, OFF, ON, classify
 from .cells import ACROSS_U, WHOLE, make_cells
 from .swept_boxes import Span, overlap
-from .workspace import Patch
+from .workspace import Spans
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -89,7 +89,7 @@ class Trim(NamedTuple):
 
 
 @njit
-def fill(g0: Patch, g1: Patch, still: bool, trim: Trim, side: Side, start: int, end: int) -> None:
+def fill(g0: Spans, g1: Spans, still: bool, trim: Trim, side: Side, start: int, end: int) -> None:
     """Corners and sags of the cells start to end, whose rectangles stand there already."""
     rectangle, on = side.rectangle[start:end], side.on[start:end]
     if trim.trimmed:
@@ -102,7 +102,12 @@ def fill(g0: Patch, g1: Patch, still: bool, trim: Trim, side: Side, start: int, 
     centre, radius, cut = side.centre[start:end], side.radius[start:end], side.cut[start:end]
     make_cells(g0, rectangle, on, first, sag_first, centre, radius, cut)
     if still:
-        last[:], sag_last[:] = first, sag_first
+        # (numba compiles the text of an error message for an assignment of one slice to another: three seconds)
+        for k in range(len(first)):
+            sag_last[k] = sag_first[k]
+            for e in range(4):
+                for c in range(3):
+                    last[k, e, c] = first[k, e, c]
     else:
         make_cells(g1, rectangle, on, last, sag_last, centre, radius, cut)
     side.child[start:end] = UNKNOWN
@@ -110,7 +115,7 @@ def fill(g0: Patch, g1: Patch, still: bool, trim: Trim, side: Side, start: int, 
 
 
 @njit
-def halve(g0: Patch, g1: Patch, still: bool, trim: Trim, side: Side, k: int) -> bool:
+def halve(g0: Spans, g1: Spans, still: bool, trim: Trim, side: Side, k: int) -> bool:
     """Make the two children of cell k; False where it is too narrow to have any. There must be room for them."""
     if side.cut[k] == WHOLE:
         side.child[k] = NONE
@@ -229,8 +234,8 @@ def seed(
 
 @njit
 def advance(
-    g0: Patch, g1: Patch, still_a: bool, trim_a: Trim, a: Side, at: Span,
-    h0: Patch, h1: Patch, still_b: bool, trim_b: Trim, b: Side, bt: Span,
+    g0: Spans, g1: Spans, still_a: bool, trim_a: Trim, a: Side, at: Span,
+    h0: Spans, h1: Spans, still_b: bool, trim_b: Trim, b: Side, bt: Span,
     pad: float, near: float, s1: float, step: float, budget: int, queue: Queue, found: Array, where: Index,
 ) -> int:  # fmt: skip
     """Work the queue off. Returns CLEAR when every pair is apart up to s1.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..jit import njit
 from ..spline.region import OFF, ON, Region
-from .workspace import Patch
+from .workspace import Patch, Spans, spans_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -67,7 +67,7 @@ def kept_cells(g: Patch, region: Region | None, rectangle: Array) -> tuple[Cells
     n = len(rectangle)
     corners, sag, centre, radius = np.empty((n, 4, 3)), np.empty(n), np.empty((n, 3)), np.empty(n)
     cut = np.empty(n, np.int64)
-    make_cells(g, rectangle, on, corners, sag, centre, radius, cut)
+    make_cells(spans_of(g), rectangle, on, corners, sag, centre, radius, cut)
     return Cells(rectangle, corners, sag, centre, radius, cut, on), kept
 
 
@@ -106,7 +106,7 @@ def quarters(rectangle: Array) -> Array:
 
 @njit
 def make_cells(
-    g: Patch, rectangle: Array, on: Index, corners: Array, sag: Array, centre: Array, radius: Array, cut: Index
+    g: Spans, rectangle: Array, on: Index, corners: Array, sag: Array, centre: Array, radius: Array, cut: Index
 ) -> None:
     """Corners, sag, sphere and cut of the cells over rectangles (n, 4); the fields are those of `Cells`.
 

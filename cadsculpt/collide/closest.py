@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..jit import njit
 from .grid import PatchGrid
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V, inside, newton
-from .spheres import make_spheres
+from .spheres import fill_spheres
 from .workspace import Patch, Workspace, canonical, grown
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ def project(
     final = np.empty((256, 3), np.int64)
     for k in range(spans):
         here[k, 0], here[k, 1], here[k, 2] = 0, k // across, k % across
-    make_spheres(g, here, spans)
+    fill_spheres(g, here, spans)
     found, mine, best_kind = np.empty(9), np.empty(9), PROPER
     scratch = np.empty((9, max(g.degree_u, g.degree_v) + 4))
     h = np.empty((6, 4))
@@ -152,7 +152,7 @@ def project(
                         fresh += 1
                         missing += stamp[at] != tick
             if missing > 0:
-                make_spheres(g, there, fresh)
+                fill_spheres(g, there, fresh)
             for t in range(fresh):
                 at = offset[level] + there[t, 1] * tally[level, 1] + there[t, 2]
                 upper = min(upper, gap(spheres, at, c) + spheres[at, 3])

@@ -158,7 +158,7 @@ def _matrices(surface: BSplineSurface, cells: tuple[int, int]) -> Transformation
         t, start = _rows(surface, axis, cells[axis])
         count = len(knots) - degree - 1
         first, rows = np.empty(len(t), dtype=np.int64), np.empty((3, len(t), degree + 1))
-        design_rows(np.array(knots), degree, count, t, 2, first, rows)
+        design_rows(knots, degree, count, t, 2, first, rows)
         dense = np.zeros((2, len(t), count))
         for k in range(2):
             np.put_along_axis(dense[k], first[:, None] + np.arange(degree + 1), rows[k], axis=1)

@@ -14,7 +14,7 @@ from .nearest_pair import nearest_pair
 from .pairs import SurfacePairs
 from .query import Crossings, DetectOptions, DistanceField
 from .tri_tri import CROSSING
-from .workspace import Patch, make_points
+from .workspace import Patch, make_points, spans_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -80,7 +80,7 @@ def surfaces_meet(a: SurfaceBody, b: SurfaceBody, touch: float) -> SurfacePairs:
         x = np.concatenate([_start(g, a.tool.grids[k].shape, crossings.model_triangle[n], middle),
                             _start(h, b.tool.grids[l].shape, crossings.tool_triangle[n], middle)])  # fmt: skip
         found = np.empty((4, 3))
-        if not nearest_pair(g, h, x, FREE, FREE, found) <= touch:
+        if not nearest_pair(spans_of(g), spans_of(h), x, FREE, FREE, found) <= touch:
             continue
         if _off(a, k, x[:2]) or _off(b, l, x[2:]):
             continue

@@ -16,7 +16,7 @@ from .broad import extents_of
 from .cells import span_rectangles
 from .grid import PatchGrid
 from .swept_boxes import Span
-from .workspace import Patch, Workspace
+from .workspace import Patch, Spans, Workspace, spans_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -104,6 +104,7 @@ class Cover:
     side: Side = field(init=False)
     first: Patch = field(init=False)
     last: Patch = field(init=False)
+    spans: tuple[Spans, Spans] = field(init=False)
     still: bool = field(init=False, default=False)
     time: Span = field(init=False, default=Span(0.0, 1.0))
     speed: float = field(init=False, default=0.0)
@@ -124,6 +125,7 @@ class Cover:
         self.first = self._ends[0].load(start, paper=False, delta=0.0)
         self.still = start is end or np.array_equal(start, end)
         self.last = self.first if self.still else self._ends[1].load(end, paper=False, delta=0.0)
+        self.spans = spans_of(self.first), spans_of(self.last)
         self.time = time
         self.speed = 0.0
         if not self.still:
@@ -131,7 +133,7 @@ class Cover:
             self.speed = float(np.sqrt(np.einsum("ij,ij->i", step, step).max())) / (time.high - time.low)
         spans = span_rectangles(self.first)
         self.side.rectangle[: len(spans)] = spans
-        fill(self.first, self.last, self.still, self.trim, self.side, 0, len(spans))
+        fill(*self.spans, self.still, self.trim, self.side, 0, len(spans))
 
     @property
     def slack(self) -> float:

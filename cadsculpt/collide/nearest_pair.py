@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..jit import njit
 from .newton import approach, inside
-from .workspace import Patch
+from .workspace import Spans
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ STEPS = 60
 
 
 @njit
-def nearest_pair(g: Patch, h: Patch, x: Array, chord_a: Array, chord_b: Array, out: Array) -> float:
+def nearest_pair(g: Spans, h: Spans, x: Array, chord_a: Array, chord_b: Array, out: Array) -> float:
     """The local closest pair of two patches from the start x (4,) = u, v, u, v; x becomes its parameters, out (2, 3) its
     points, out[2] the speeds |S_u|, |S_v| of the first, out[3] those of the second: (4, 3). Returns the distance.
 
@@ -116,7 +116,7 @@ def nearest_pair(g: Patch, h: Patch, x: Array, chord_a: Array, chord_b: Array, o
 
 @njit
 def residual(
-    g: Patch, h: Patch, x: Array, chord_a: Array, chord_b: Array, held_a: bool, held_b: bool, da: Array, db: Array,
+    g: Spans, h: Spans, x: Array, chord_a: Array, chord_b: Array, held_a: bool, held_b: bool, da: Array, db: Array,
     scratch: Array,
 ) -> float:  # fmt: skip
     """Derivatives of both surfaces at x into da, db (6, 4) (`newton.approach`), and the squared distance of the points."""

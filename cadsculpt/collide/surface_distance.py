@@ -19,6 +19,7 @@ from .cells import WHOLE
 from .interval import Goal, Search, Witness
 from .nearest_pair import nearest_pair
 from .pair_bounds import pair_bounds
+from .workspace import spans_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -248,7 +249,7 @@ def _from_poles(
                 one, two = stores[0].body.patch(faces[0]), stores[1].body.patch(faces[1])
                 x = np.array([0.0, 0.0, *its] if side == 0 else [*its, 0.0, 0.0])
                 chords = (held, free) if side == 0 else (free, held)
-                nearest_pair(one, two, x, chords[0], chords[1], np.empty((4, 3)))
+                nearest_pair(spans_of(one), spans_of(two), x, chords[0], chords[1], np.empty((4, 3)))
                 _from_chords(stores, at, search, _FREE, _FREE, x)
 
 
@@ -261,7 +262,7 @@ def _from_chords(
     one was off the first, the second face."""
     bodies = stores[0].body, stores[1].body
     k, l = int(stores[0].patch[at[0]]), int(stores[1].patch[at[1]])
-    g, h = bodies[0].patch(k), bodies[1].patch(l)
+    one, two = spans_of(bodies[0].patch(k)), spans_of(bodies[1].patch(l))
     r, s = stores[0].rectangle[at[0]], stores[1].rectangle[at[1]]
     off_a, off_b = False, False
     middle = np.array([0.5 * (r[0] + r[1]), 0.5 * (r[2] + r[3]), 0.5 * (s[0] + s[1]), 0.5 * (s[2] + s[3])])
@@ -271,7 +272,7 @@ def _from_chords(
             held_a, held_b = bool(np.isfinite(chord_a[0, 0])), bool(np.isfinite(chord_b[0, 0]))
             x[0], x[2] = start_a if held_a else x[0], start_b if held_b else x[2]
             found = np.empty((4, 3))
-            d = nearest_pair(g, h, x, chord_a, chord_b, found) + g.slack + h.slack
+            d = nearest_pair(one, two, x, chord_a, chord_b, found) + one.slack + two.slack
             wide_a = _border(bodies[0].region(k), x[:2], found[2], held_a, width_a)
             wide_b = _border(bodies[1].region(l), x[2:], found[3], held_b, width_b)
             off_a, off_b = off_a or wide_a is None, off_b or wide_b is None

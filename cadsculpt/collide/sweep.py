@@ -267,7 +267,7 @@ class _Search:
         found, where = np.empty(2), np.zeros(2, np.int64)
         while True:
             answer = advance(
-                a.first, a.last, a.still, a.trim, a.side, a.time, b.first, b.last, b.still, b.trim, b.side, b.time,
+                *a.spans, a.still, a.trim, a.side, a.time, *b.spans, b.still, b.trim, b.side, b.time,
                 pad, near, s1, step, self.budget, cache.queue, found, where,
             )  # fmt: skip
             if answer != ROOM:

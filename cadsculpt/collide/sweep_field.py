@@ -73,11 +73,11 @@ class _Cells:
                 setattr(self, name, new)
         corners, sag = np.empty((2, n, 4, 3)), np.empty((2, n))
         centre, radius, cut = np.empty((n, 3)), np.empty(n), np.empty(n, np.int64)
-        make_cells(cover.first, rectangle, on, corners[0], sag[0], centre, radius, cut)
+        make_cells(cover.spans[0], rectangle, on, corners[0], sag[0], centre, radius, cut)
         if cover.still:
             corners[1], sag[1] = corners[0], sag[0]
         else:
-            make_cells(cover.last, rectangle, on, corners[1], sag[1], centre, radius, cut)
+            make_cells(cover.spans[1], rectangle, on, corners[1], sag[1], centre, radius, cut)
         self.face[places], self.rectangle[places], self.mixed[places] = face, rectangle, on == MIXED
         self.corners[places], self.sag[places] = corners.transpose(1, 0, 2, 3), sag.T
         self.size[places] = np.ptp(corners[0], axis=1).max(axis=1)

@@ -102,6 +102,30 @@ class Patch(NamedTuple):
     counters: Index
 
 
+class Spans(NamedTuple):
+    """What kernels see of one patch's net and knot spans alone; the fields are those of `Patch`.
+
+    Every field costs a kernel compilation time and calls of it time, so that kernels take this where it is enough.
+    """
+
+    net: Array
+    knots_u: Array
+    knots_v: Array
+    degree_u: int
+    degree_v: int
+    rational: bool
+    wrap_u: bool
+    wrap_v: bool
+    u: Array
+    v: Array
+    first_u: Index
+    first_v: Index
+    row_u: Index
+    row_v: Index
+    tally: Index
+    slack: float
+
+
 @dataclass(slots=True, eq=False)
 class Workspace:
     """What follows one patch's control points; one per patch and place where it is used, reused from step to step."""
@@ -304,6 +328,14 @@ def load(
             if pole:
                 flags[2] |= 1 << (2 * direction + end)
     return 1
+
+
+def spans_of(g: Patch) -> Spans:
+    """The net and the knot spans of a loaded patch."""
+    return Spans(
+        g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.u, g.v,
+        g.first_u, g.first_v, g.row_u, g.row_v, g.tally, g.slack,
+    )  # fmt: skip
 
 
 @njit_inline

@@ -24,7 +24,10 @@ def design_matrix(knots: Array, degree: int, parameters: Array, derivative: int 
     parameters = np.ascontiguousarray(parameters, dtype=np.float64)
     first = np.empty(len(parameters), dtype=np.int64)
     rows = np.empty((derivative + 1, len(parameters), degree + 1))
-    design_rows(np.ascontiguousarray(knots), degree, count, parameters, derivative, first, rows)
+    # read-only as a surface's are: one type of array for the kernel
+    knots = np.ascontiguousarray(knots).view()
+    knots.flags.writeable = False
+    design_rows(knots, degree, count, parameters, derivative, first, rows)
     matrix = np.zeros((len(parameters), count))
     np.put_along_axis(matrix, first[:, None] + np.arange(degree + 1), rows[derivative], axis=1)
     return matrix

@@ -144,7 +144,7 @@ class BSplineSurface:
         u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
         out = surface_derivatives(
             self.control_points,
-            np.ones(self.shape) if self.weights is None else self.weights,
+            _ones(self.shape) if self.weights is None else self.weights,
             self.weights is not None,
             self.knots_u,
             self.knots_v,
@@ -216,3 +216,10 @@ class BSplineSurface:
                 raise GeometryError("a trim curve has a number that is not finite", where=where)
             if curve.weights is not None and not (np.isfinite(curve.weights).all() and (curve.weights > 0).all()):
                 raise GeometryError("a weight of a trim curve is not positive and finite", where=where)
+
+
+def _ones(shape: tuple[int, int]) -> Array:
+    """Weights of a surface that has none; read-only as those of others are: one type of array for the kernel."""
+    weights = np.ones(shape)
+    weights.flags.writeable = False
+    return weights
