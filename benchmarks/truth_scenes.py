@@ -9,9 +9,11 @@ row, however fine the samples are.
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,12 +84,16 @@ def scenes_truth(scenes: int = 10_000, seed: int = 3, per_model: int = 8) -> dic
     contact. false_contacts : rows that are not true; false_contacts_paper_mode : the same. duplicates : rows with the
     face and the point of another. scenes_refused : faces for which the engine says that no grid finds them.
     """
-    rng = np.random.default_rng(seed)
     total: Counter[str] = Counter()
     missed: Counter[str] = Counter()
     paper: Counter[str] = Counter()
     kinds: Counter[str] = Counter()
-    while total["tested"] < scenes:
+    wrong: list[tuple[int, int, str]] = []
+    for body in count():
+        if total["tested"] >= scenes:
+            break
+        # a body's scenes are the same whatever came before: what is wrong with one can be looked at alone
+        rng = np.random.default_rng([seed, body])
         try:
             model = random_model(rng)
         except GeometryError as error:
@@ -95,7 +101,7 @@ def scenes_truth(scenes: int = 10_000, seed: int = 3, per_model: int = 8) -> dic
                 raise
             total["refused"] += 1
             continue
-        for scene in random_scenes(rng, model, min(per_model, scenes - total["tested"])):
+        for place, scene in enumerate(random_scenes(rng, model, min(per_model, scenes - total["tested"]))):
             total["tested"] += 1
             kinds[scene.kind] += 1
             touching = scene.deepest > scene.tolerance
@@ -103,11 +109,15 @@ def scenes_truth(scenes: int = 10_000, seed: int = 3, per_model: int = 8) -> dic
             for mode in ("certified", "paper"):
                 options = DetectOptions(mode=mode, tolerance=scene.tolerance)  # type: ignore[arg-type]
                 contacts = detect(model.grids, model.nets, [scene.tool], options).contacts
-                total[f"untrue {mode}"] += scene.untrue(contacts)
+                untrue, lost = scene.untrue(contacts), touching and not len(contacts)
+                total[f"untrue {mode}"] += untrue
+                if lost:
+                    (missed if mode == "certified" else paper)[scene.kind] += 1
                 if mode == "certified":
                     total["duplicates"] += duplicates(contacts)
-                if touching and not len(contacts):
-                    (missed if mode == "certified" else paper)[scene.kind] += 1
+                    if untrue or lost:
+                        wrong.append((body, place, scene.kind))
+                        print(f"scenes: body {body}, scene {place}, {scene.kind}: {untrue} false, lost: {lost}", file=sys.stderr, flush=True)
     return {
         "scenes_tested": total["tested"],
         "scenes_touching": total["touching"],
@@ -119,6 +129,7 @@ def scenes_truth(scenes: int = 10_000, seed: int = 3, per_model: int = 8) -> dic
         "false_contacts": total["untrue certified"],
         "false_contacts_paper_mode": total["untrue paper"],
         "duplicate_contacts": total["duplicates"],
+        "scenes_wrong": wrong,
         "scenes_kinds": dict(kinds),
     }
 
