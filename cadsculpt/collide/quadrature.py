@@ -339,12 +339,7 @@ def below_grid(
         children = np.column_stack([start, 0.5 * np.repeat(place[:, 2], 4)])
         fresh = _parts(g, np.repeat(pool.cells[cut], 4, axis=0), children, bound, distance, margin, region)
         made += len(children)
-        pool = _Parts(
-            *(
-                np.concatenate([getattr(pool, f.name)[stays], getattr(fresh, f.name)])
-                for f in fields(_Parts)
-            )
-        )
+        pool = _Parts(*(np.concatenate([getattr(pool, f.name)[stays], getattr(fresh, f.name)]) for f in fields(_Parts)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
