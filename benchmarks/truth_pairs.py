@@ -26,7 +26,8 @@ NO_CONTACT = "no contact"
 
 def pairs_truth() -> dict[str, object]:
     """pairs_equal_exact : the crossing pairs of all scenes are CGAL's: none in NO_CONTACT, and some in each other.
-    pairs_scenes : per scene ours, theirs, and how many of the pairs in which they differ are right on either side. None of it where libigl is missing."""
+    pairs_scenes : per scene ours, theirs, and how many of the pairs in which they differ are right on either
+    side. None of it where libigl is missing."""
     try:
         from igl.copyleft.cgal import intersect_other
     except ImportError:
