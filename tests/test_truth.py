@@ -90,6 +90,13 @@ def test_the_tools_of_the_scenes_are_as_deep_as_said(part):
         assert (distance < 0).any(), solid.name
 
 
+def test_continuous_collision_is_never_late(part, corpus):
+    result = part("truth_ccd").ccd_truth()
+    assert result["ccd_queries"] > result["ccd_negatives"] > 100
+    assert result["ccd_false_negative"] == 0
+    assert 15 * result["ccd_false_positive"] < result["ccd_negatives"]
+
+
 def test_crossing_pairs_are_those_of_cgal(part):
     pytest.importorskip("igl.copyleft.cgal", reason="libigl (extra bench) is not installed: pairs were not compared")
     result = part("truth_pairs").pairs_truth()
