@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.contacts import Contacts
-from .collide.detect import Counters, DetectCache, Detection, DetectOptions, detect
+from .collide.detect import Counters, DetectCache, Detection, DetectOptions, Undecided, detect
 from .errors import InputError, SimulationError
 from .lookahead import Lookahead
 from .model import Model
@@ -236,7 +236,7 @@ class Session:
         placed = [tool.tool.placed(pose) for tool, pose in zip(model.tools, poses or state.poses, strict=True)]
         options = model.options
         options = DetectOptions(mode=options.mode, tolerance=options.tolerance, delta=options.delta, margin=margin)
-        parts, undecided = [], ()
+        parts, undecided = [], list[Undecided]()
         for body in range(len(model.bodies)):
             index = [i for i, patch in enumerate(model.patches) if patch.body == body]
             found = detect(
@@ -254,9 +254,9 @@ class Session:
             undecided += found.undecided
             parts.append((found.contacts.with_faces(np.array(index, dtype=np.int64)), found))
         if len(parts) == 1:
-            return Detection(parts[0][0], parts[0][1].counters, undecided=undecided)
+            return Detection(parts[0][0], parts[0][1].counters, undecided=tuple(undecided))
         joined = Contacts.joined([contacts for contacts, _ in parts])
-        return Detection(joined, parts[-1][1].counters, undecided=undecided)
+        return Detection(joined, parts[-1][1].counters, undecided=tuple(undecided))
 
     # ----------------------------------------------------------------- read
 

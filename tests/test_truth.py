@@ -78,7 +78,9 @@ def test_the_tools_of_the_scenes_are_as_deep_as_said(part):
     solids, tools = part("truth_solids"), part("truth_tools")
     rng = np.random.default_rng(1)
     made = [solids.random_implicit(rng, name, 2.0) for name in solids.SHAPES]
-    made += [tools.random_superquadric(rng, 2.0) for _ in range(4)] + [tools.random_mesh(rng, m, 2.0) for m in tools.MESHES]
+    made += [tools.random_superquadric(rng, 2.0) for _ in range(4)] + [
+        tools.random_mesh(rng, m, 2.0) for m in tools.MESHES
+    ]
     made += [tools.composed(name, 2.0, which) for name in tools.COMPOSED for which in range(2)]
     for solid in made:
         x = rng.normal(size=(150, 3)) * rng.choice([0.3, 1.0, 2.0], (150, 1)) + solid.anchor
