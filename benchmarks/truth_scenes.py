@@ -9,6 +9,7 @@ row, however fine the samples are.
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -16,8 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from truth_solids import SHAPES, SURFACES, ball, cube, random_closed, random_implicit, random_turn, ring
+from truth_solids import SHAPES, SURFACES, Solid, ball, cube, random_closed, random_implicit, random_turn, ring
 from truth_surfaces import deformed, points_at, points_on, random_surface
+from truth_tools import COMPOSED, MESHES, random_composed, random_mesh, random_superquadric
 from truth_trims import KINDS, Face, trimmed, whole
 
 from cadsculpt.collide.contacts import Contacts
@@ -64,10 +66,9 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One pair of bodies. deepest : of the points surely on the face. tolerance : what may be missed. truth (contacts)
+    """One pair of bodies. deepest : of the points surely on the face. tolerance : what may be missed. untrue (contacts)
     -> how many rows are not true."""
 
-    model: Model
     tool: Tool
     tolerance: float
     deepest: float
@@ -78,16 +79,21 @@ class Scene:
 def scenes_truth(scenes: int = 10_000, seed: int = 3, per_model: int = 8) -> dict[str, object]:
     """`scenes` scenes, `per_model` of one body, which is deformed between them.
 
-    scenes_touching : with a point deeper than the tolerance. missed, missed_paper_mode : of these, those without a
-    contact. false_contacts : rows that are not true; false_contacts_paper_mode : the same. duplicates : rows with the
-    face and the point of another. scenes_refused : faces for which the engine says that no grid finds them.
+    scenes_touching : with a point deeper than the tolerance. missed, missed_paper_mode : of these, those where a tool that
+    touches has no contact. false_contacts : rows that are not true; false_contacts_paper_mode : the same. duplicates :
+    rows with the tool, the face and the point of another. scenes_refused : faces for which the engine says that no grid
+    finds them. scenes_undecided : the engine says that it may have missed something. scenes_wrong : where to look.
     """
-    rng = np.random.default_rng(seed)
     total: Counter[str] = Counter()
-    missed: Counter[str] = Counter()
     paper: Counter[str] = Counter()
-    kinds: Counter[str] = Counter()
+    tools: Counter[str] = Counter()
+    faces: Counter[str] = Counter()
+    wrong: list[str] = []
+    body = -1
     while total["tested"] < scenes:
+        # a body's scenes are the same whatever came before: what is wrong with one can be looked at alone
+        body += 1
+        rng = np.random.default_rng([seed, body])
         try:
             model = random_model(rng)
         except GeometryError as error:
@@ -95,31 +101,53 @@ def scenes_truth(scenes: int = 10_000, seed: int = 3, per_model: int = 8) -> dic
                 raise
             total["refused"] += 1
             continue
-        for scene in random_scenes(rng, model, min(per_model, scenes - total["tested"])):
+        for place, together in enumerate(random_scenes(rng, model, min(per_model, scenes - total["tested"]))):
             total["tested"] += 1
-            kinds[scene.kind] += 1
-            touching = scene.deepest > scene.tolerance
-            total["touching"] += touching
+            total["several tools"] += len(together) > 1
+            tools.update(scene.kind for scene in together)
+            faces[model.name] += 1
+            tolerance = max(scene.tolerance for scene in together)
+            touching = [scene.deepest > tolerance for scene in together]
+            total["touching"] += any(touching)
             for mode in ("certified", "paper"):
-                options = DetectOptions(mode=mode, tolerance=scene.tolerance)  # type: ignore[arg-type]
-                contacts = detect(model.grids, model.nets, [scene.tool], options).contacts
-                total[f"untrue {mode}"] += scene.untrue(contacts)
-                if mode == "certified":
-                    total["duplicates"] += duplicates(contacts)
-                if touching and not len(contacts):
-                    (missed if mode == "certified" else paper)[scene.kind] += 1
+                options = DetectOptions(mode=mode, tolerance=tolerance)  # type: ignore[arg-type]
+                found = detect(model.grids, model.nets, [scene.tool for scene in together], options)
+                own = [found.contacts.chosen(found.contacts.b == k) for k in range(len(together))]
+                untrue = sum(scene.untrue(rows) for scene, rows in zip(together, own, strict=True))
+                lost = [
+                    scene.kind for scene, rows, touches in zip(together, own, touching, strict=True)
+                    if touches and not len(rows)
+                ]  # fmt: skip
+                total[f"untrue {mode}"] += untrue
+                total[f"missed {mode}"] += bool(lost)
+                if mode == "paper":
+                    paper.update(lost)
+                    continue
+                again = duplicates(found.contacts)
+                total["duplicates"] += again
+                total["undecided"] += bool(found.undecided)
+                if untrue or lost or again:
+                    wrong.append(
+                        f"body {body}, {model.name}, scene {place}: missed {lost}, {untrue} false rows, {again} again"
+                    )
+                    print(wrong[-1], file=sys.stderr, flush=True)
+            if total["tested"] % 1000 == 0:
+                print(f"scenes: {total['tested']}, {total['missed certified']} missed", file=sys.stderr, flush=True)
     return {
         "scenes_tested": total["tested"],
         "scenes_touching": total["touching"],
         "scenes_refused": total["refused"],
-        "missed": sum(missed.values()),
-        "missed_kinds": dict(missed),
-        "missed_paper_mode": sum(paper.values()),
-        "missed_paper_mode_kinds": dict(paper),
+        "scenes_undecided": total["undecided"],
+        "scenes_several_tools": total["several tools"],
+        "missed": total["missed certified"],
+        "missed_paper_mode": total["missed paper"],
+        "missed_paper_mode_tools": dict(paper),
         "false_contacts": total["untrue certified"],
         "false_contacts_paper_mode": total["untrue paper"],
         "duplicate_contacts": total["duplicates"],
-        "scenes_kinds": dict(kinds),
+        "scenes_wrong": wrong,
+        "scenes_tools": dict(tools),
+        "scenes_faces": dict(faces),
     }
 
 
@@ -167,25 +195,23 @@ def random_model(rng: np.random.Generator) -> Model:
     return Model([face], [PatchGrid.of(face.surface, resolution)], [surface.control_points], None, name)
 
 
-def random_scenes(rng: np.random.Generator, model: Model, count: int) -> Iterator[Scene]:
-    """Scenes with one body: implicit tools of every shape, closed and open B-spline tools, points in solids."""
-    families = ["implicit", "implicit", "implicit", "surface"]
+def random_scenes(rng: np.random.Generator, model: Model, count: int) -> Iterator[list[Scene]]:
+    """Scenes with one body: implicit tools of every shape, superquadrics, composed solids and formulas, meshes, closed and
+    open B-spline tools, points in solids; in one of twelve several tools at once."""
+    shares = {"implicit": 45.0, "surface": 18.0, "superquadric": 6.0, "mesh": 9.0, "composed": 2.0}
     if model.depth is not None:
-        families.append("point")
+        shares["point"] = 20.0
     elif model.name == "surface":
-        families.append("sheet")
+        shares["sheet"] = 20.0
+    families, share = list(shares), np.array(list(shares.values()))
     for k in range(count):
         if k % 4 == 0:
             if k and model.depth is None:
                 model.nets = [deformed(rng, face.surface, 0.5) for face in model.faces]
             model.dense(rng)
-        family = str(rng.choice(families))
-        if family == "point":
-            yield point_scene(rng, model)
-        elif family == "sheet":
-            yield sheet_scene(rng, model)
-        else:
-            yield solid_scene(rng, model, family)
+        together = 1 if rng.random() < 0.92 else int(rng.integers(2, 4))
+        chosen = rng.choice(families, size=together, p=share / share.sum()).tolist()
+        yield [SCENES.get(family, solid_scene)(rng, model, family) for family in chosen]
 
 
 # ------------------------------------------------------------------ scenes
@@ -240,9 +266,8 @@ def solid_scene(rng: np.random.Generator, model: Model, family: str) -> Scene:
     """A solid aimed at a place of the model: grazing, overlapping, or piercing; from much below a cell to the whole."""
     size = 10.0 ** rng.uniform(-1.7, 0.8)
     tolerance = 10.0 ** rng.uniform(-3.5, -1.5)
-    solid = random_implicit(rng, str(rng.choice(SHAPES)), size) if family == "implicit" else random_closed(
-        rng, str(rng.choice(SURFACES)), size
-    )  # fmt: skip
+    solid = random_solid(rng, family, size)
+    size = solid.size
     place = aim(rng, model)
     point, normal = place[3], place[6] * rng.choice([-1.0, 1.0])
     turn = random_turn(rng)
@@ -265,8 +290,20 @@ def solid_scene(rng: np.random.Generator, model: Model, family: str) -> Scene:
     depth: Depth = lambda x: solid.depth(pose.to_tool(x))  # noqa: E731
     deepest = deepest_point(rng, model, place, 1.5 * size, depth)
     tool = solid.placed(pose)
-    kind = f"{family} {solid.name}, {model.name}"
-    return Scene(model, tool, tolerance, deepest, lambda c: untrue_rows(model, c, depth), kind)
+    return Scene(tool, tolerance, deepest, lambda c: untrue_rows(model, c, depth), f"{family} {solid.name}")
+
+
+def random_solid(rng: np.random.Generator, family: str, size: float) -> Solid:
+    match family:
+        case "implicit":
+            return random_implicit(rng, str(rng.choice(SHAPES)), size)
+        case "superquadric":
+            return random_superquadric(rng, size)
+        case "mesh":
+            return random_mesh(rng, str(rng.choice(MESHES)), size)
+        case "composed":
+            return random_composed(rng, str(rng.choice(COMPOSED)))
+    return random_closed(rng, str(rng.choice(SURFACES)), size)
 
 
 def untrue_rows(model: Model, contacts: Contacts, depth: Depth) -> int:
@@ -283,7 +320,7 @@ def untrue_rows(model: Model, contacts: Contacts, depth: Depth) -> int:
     return wrong
 
 
-def point_scene(rng: np.random.Generator, model: Model) -> Scene:
+def point_scene(rng: np.random.Generator, model: Model, family: str) -> Scene:
     """A point near the surface of a solid, or anywhere."""
     place = aim(rng, model)
     inside = model.depth
@@ -296,10 +333,10 @@ def point_scene(rng: np.random.Generator, model: Model) -> Scene:
     def untrue(contacts: Contacts) -> int:
         return len(contacts) if depth < -10 * CLEAR or len(contacts) > 1 else 0
 
-    return Scene(model, PointTool(x, 1.0), 1e-5, depth, untrue, f"point, {model.name}")
+    return Scene(PointTool(x, 1.0), 1e-5, depth, untrue, family)
 
 
-def sheet_scene(rng: np.random.Generator, model: Model) -> Scene:
+def sheet_scene(rng: np.random.Generator, model: Model, family: str) -> Scene:
     """An open sheet, z = h(x, y) in its own frame, that the model may pierce or cut. Contact is certain where the model
     goes from its front to its back well inside the border."""
     size = 10.0 ** rng.uniform(-0.5, 0.8)
@@ -342,4 +379,8 @@ def sheet_scene(rng: np.random.Generator, model: Model) -> Scene:
         return int(((away > 10 * CLEAR) | ((f < -10 * CLEAR) & (border > 0))).sum())
 
     tool = SurfaceTool((grid,), (np.ascontiguousarray(pose.to_world(net)),))
-    return Scene(model, tool, tolerance, deepest, untrue, f"sheet, {model.name}")
+    return Scene(tool, tolerance, deepest, untrue, family)
+
+
+SCENES = {"point": point_scene, "sheet": sheet_scene}
+"""How scenes are made that are not those of a solid."""

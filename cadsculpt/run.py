@@ -189,7 +189,7 @@ def run(
         expectations=evaluate(model, history, summary),
         converged=not failure,
         failure=failure,
-        warnings=tuple(_warnings(model, history, summary)),
+        warnings=tuple(_warnings(session, history, summary)),
     )
 
 
@@ -222,9 +222,15 @@ def summarise(session: Session, history: History) -> Summary:
     )
 
 
-def _warnings(model: Model, history: History, summary: Summary) -> list[str]:
+def _warnings(session: Session, history: History, summary: Summary) -> list[str]:
+    model = session.model
     unit = model.scene.units
     lines = []
+    for (body, tool), depth in sorted(session.undecided.items()):
+        lines.append(
+            f"the tool {model.tools[tool].name!r} came so near the part {model.bodies[body]!r} between its grid's vertices "
+            f"that a contact up to {depth:.3g} {unit} deep may have been missed (raise solver.resolution or solver.tolerance)"
+        )
     limit = model.scene.solver.max_penetration
     for first, last, worst in history.too_deep(limit):
         steps = f"step {first}" if first == last else f"steps {first} to {last}"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.contacts import Contacts
-from .collide.detect import Counters, DetectCache, Detection, DetectOptions, detect
+from .collide.detect import Counters, DetectCache, Detection, DetectOptions, Undecided, detect
 from .errors import InputError, SimulationError
 from .lookahead import Lookahead
 from .model import Model
@@ -65,7 +65,8 @@ class Session:
     source : a `Model`, or a scene that builds one. After `step`, `contacts` and `forces` (n, 3) [N, on the model] hold
     the contacts that acted during it, `depths` (n,) how deep they are at its end (in the deepest piece of a step that
     continuous collision cuts). `clock`, a timer in seconds, fills `timing`
-    with the seconds that each phase of each step took.
+    with the seconds that each phase of each step took. `undecided` : per body and tool, how deep a contact may have been
+    that was not found (see `query.Undecided`); empty as a rule.
     """
 
     source: Model | Buildable
@@ -76,6 +77,7 @@ class Session:
     forces: Array = field(init=False)
     depths: Array = field(init=False)
     counters: Counters = field(init=False)
+    undecided: dict[tuple[int, int], float] = field(init=False)
     timing: dict[str, list[float]] = field(init=False)
     lookahead: Lookahead = field(init=False)
     _caches: list[DetectCache] = field(init=False)
@@ -95,6 +97,7 @@ class Session:
         self._caches = [DetectCache() for _ in model.bodies]
         self.contacts, self.forces, self.depths = Contacts.none(), np.zeros((0, 3)), np.zeros(0)
         self.counters = Counters()
+        self.undecided = {}
         self.timing = {"collide": [], "lattice": [], "refit": []}
 
     # ------------------------------------------------------------------ step
@@ -233,7 +236,7 @@ class Session:
         placed = [tool.tool.placed(pose) for tool, pose in zip(model.tools, poses or state.poses, strict=True)]
         options = model.options
         options = DetectOptions(mode=options.mode, tolerance=options.tolerance, delta=options.delta, margin=margin)
-        parts = []
+        parts, undecided = [], list[Undecided]()
         for body in range(len(model.bodies)):
             index = [i for i, patch in enumerate(model.patches) if patch.body == body]
             found = detect(
@@ -245,10 +248,15 @@ class Session:
                 cache=self._caches[body],
             )
             self.counters.add(found.counters)
+            for lack in found.undecided:
+                pair = body, lack.tool
+                self.undecided[pair] = max(self.undecided.get(pair, 0.0), lack.depth)
+            undecided += found.undecided
             parts.append((found.contacts.with_faces(np.array(index, dtype=np.int64)), found))
         if len(parts) == 1:
-            return Detection(parts[0][0], parts[0][1].counters)
-        return Detection(Contacts.joined([contacts for contacts, _ in parts]), parts[-1][1].counters)
+            return Detection(parts[0][0], parts[0][1].counters, undecided=tuple(undecided))
+        joined = Contacts.joined([contacts for contacts, _ in parts])
+        return Detection(joined, parts[-1][1].counters, undecided=tuple(undecided))
 
     # ----------------------------------------------------------------- read
 

@@ -34,6 +34,7 @@ from .query import (
     PointTool,
     Run,
     SurfaceTool,
+    Undecided,
 )
 from .surface_contacts import surface_contacts
 
@@ -49,6 +50,7 @@ __all__ = [
     "PatchGrid",
     "PointTool",
     "SurfaceTool",
+    "Undecided",
     "detect",
 ]
 
@@ -84,4 +86,5 @@ def detect(
             crossings += crossed
     # parts come in the order of tools and faces, each in that of (u, v): one alone needs no sorting
     joined = contacts[0] if len(contacts) == 1 else Contacts.joined(contacts)
-    return Detection(joined, Counters(*(int(c) for c in cache.counters)), Crossings.joined(crossings))
+    counters = Counters(*(int(c) for c in cache.counters))
+    return Detection(joined, counters, Crossings.joined(crossings), tuple(run.undecided))

@@ -40,7 +40,10 @@ def field_contacts(run: Run, index: int, tool: FieldTool) -> list[Contacts]:
         if len(left):
             distance, region = tool.field.distance, run.grids[face].region
             bound = tool.field.bound if isinstance(tool.field, BoundedField) else distance
-            uv, points, area = quadrature.below_grid(g, left, bound, distance, margin, finest_size(run, g), region)
+            uv, points, area, undecided = quadrature.below_grid(
+                g, left, bound, distance, margin, finest_size(run, g), region
+            )
+            run.give_up(index, int(face), undecided)
             if len(uv):
                 depth = -tool.field.distance(points)
                 parts.append(_field_rows(run, index, int(face), tool.field, uv, points, depth, area))

@@ -9,6 +9,7 @@ the surface between the vertices, the cells there are cut further until its prin
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +36,14 @@ percent."""
 LOOSE = 512
 """Where more parts than this come near the tool, their bounds are loose: a print is a few dozen parts wide."""
 
-MOST_SUBCELLS = 65536
-"""Cells below the grid are cut no further than this many at a time: a fifth of a second, for bounds as loose as none
-of a real part's."""
+ROUND = 65536
+"""Parts cut at a time: where more of them come near the tool, those that may lie deepest in it go first."""
+
+MOST_SUBCELLS = 8 * ROUND
+"""Parts of one patch that are looked at for one tool, about a second: what is then left is said to be undecided."""
+
+THIN = 1.0 / 64.0
+"""Where a part's middle is off the face, the face in it may be a strip: it is cut down to this share of the tolerance."""
 
 
 @njit_inline
@@ -301,44 +307,94 @@ def below_grid(
     margin: float,
     tolerance: float,
     region: Region | None = None,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, float]:
     """Contacts of a tool that reaches the surface between the vertices of the finest cells (i, j) of `cells` (n, 2).
 
     The cells are cut in four, and those whose sphere stays away from the tool, or that hold no piece of the face
     (`region`), dropped, until ENOUGH_POINTS middles lie in the tool (distance <= margin) and on the face, or what is left
     is smaller than `tolerance`: a print no deeper than that is not found. bound : what discards, nowhere farther from 0
-    than the distance. Returns parameters (k, 2), points (k, 3) and
-    areas (k,).
+    than the distance. Returns parameters (k, 2), points (k, 3), areas (k,), and how deep a print may be that was not
+    found before MOST_SUBCELLS parts were made: 0 where the search came to its end.
     """
-    place = np.tile([0.0, 0.0, 1.0], (len(cells), 1))
-    corner = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])
-    while len(cells):
-        if region is not None:
-            held = region.classify(rectangles(g, cells, place)) != OFF
-            cells, place = cells[held], place[held]
-        uv, points, radius, area = subcells(g, cells, place)
-        low = bound(points)
-        hit = low <= margin
-        if distance is not bound:
-            unsure = np.flatnonzero(hit & ~(low < 0))
-            hit[unsure] = distance(points[unsure]) <= margin
-        if region is not None:
-            hit[hit] = region.locate(uv[hit]) != OFF
-        near = ~(low > radius + margin)
-        if near.sum() > LOOSE:
-            # the span's bounds say little here: the parts' own Bezier nets, which cost more
-            held = np.flatnonzero(near)
-            parts = cells_of(g, None, rectangles(g, cells[held], place[held]))
-            near[held] = ~(bound(parts.centre) > parts.radius + margin)
-            # (both the middle and what is deepest lie in that sphere)
-            radius[held] = np.minimum(radius[held], 2.0 * parts.radius)
-        if hit.sum() >= ENOUGH_POINTS or 4 * near.sum() > MOST_SUBCELLS or not (radius[near] > tolerance).any():
-            return uv[hit], points[hit], area[hit]
-        cells = np.repeat(cells[near], 4, axis=0)
-        size = np.repeat(place[near, 2], 4)
-        start = (place[near, None, :2] + place[near, None, 2:] * corner).reshape(-1, 2)
-        place = np.column_stack([start, 0.5 * size])
-    return np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0)
+    pool = _parts(g, cells, np.tile([0.0, 0.0, 1.0], (len(cells), 1)), bound, distance, margin, region)
+    made = len(cells)
+    while True:
+        may_be = margin + pool.radius - pool.low
+        open_ = pool.near & (pool.radius > np.where(pool.beside, THIN * tolerance, tolerance))
+        hits = int(pool.hit.sum())
+        cut = np.flatnonzero(open_)
+        if 4 * len(cut) > ROUND:
+            cut = np.flatnonzero(open_ & ~(may_be <= tolerance))
+        if hits >= ENOUGH_POINTS or not len(cut) or made >= MOST_SUBCELLS:
+            undecided = float(may_be[cut].max()) if len(cut) and hits < ENOUGH_POINTS else 0.0
+            return pool.uv[pool.hit], pool.points[pool.hit], pool.area[pool.hit], undecided
+        if 4 * len(cut) > ROUND:
+            # what may lie deepest first: so much shallower is what may be left at the end
+            cut = np.sort(cut[np.argsort(-may_be[cut], kind="stable")[: ROUND // 4]])
+        stays = pool.near | pool.hit
+        stays[cut] = False
+        corner = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])
+        place = pool.place[cut]
+        start = (place[:, None, :2] + place[:, None, 2:] * corner).reshape(-1, 2)
+        children = np.column_stack([start, 0.5 * np.repeat(place[:, 2], 4)])
+        fresh = _parts(g, np.repeat(pool.cells[cut], 4, axis=0), children, bound, distance, margin, region)
+        made += len(children)
+        pool = _Parts(*(np.concatenate([getattr(pool, f.name)[stays], getattr(fresh, f.name)]) for f in fields(_Parts)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Parts:
+    """n parts of finest cells: cell (n, 2), place in it (n, 3), the middle's parameters (n, 2) and point (n, 3), a radius
+    around it and an area (n,); low (n,), what the tool's distance is at least in the middle, or outside of it. hit : the
+    middle is in the tool and on the face. near : the tool may reach the part. beside : the middle is in the tool but not
+    on the face.
+    """
+
+    cells: Index
+    place: Array
+    uv: Array
+    points: Array
+    radius: Array
+    area: Array
+    low: Array
+    hit: Mask
+    near: Mask
+    beside: Mask
+
+
+def _parts(
+    g: Patch,
+    cells: Index,
+    place: Array,
+    bound: Callable[[Array], Array],
+    distance: Callable[[Array], Array],
+    margin: float,
+    region: Region | None,
+) -> _Parts:
+    """Parts that hold a piece of the face, against the tool."""
+    if region is not None:
+        held = region.classify(rectangles(g, cells, place)) != OFF
+        cells, place = cells[held], place[held]
+    uv, points, radius, area = subcells(g, cells, place)
+    low = bound(points)
+    # (what is not a number is a contact, and so an error)
+    hit = ~(low > margin)
+    if distance is not bound:
+        unsure = np.flatnonzero(hit & ~(low < 0))
+        hit[unsure] = ~(distance(points[unsure]) > margin)
+    beside = np.zeros(len(hit), np.bool_)
+    if region is not None:
+        beside[hit] = region.locate(uv[hit]) == OFF
+        hit &= ~beside
+    near = ~(low > radius + margin)
+    if near.sum() > LOOSE:
+        # the span's bounds say little here: the parts' own Bezier nets, which cost more
+        held = np.flatnonzero(near)
+        parts = cells_of(g, None, rectangles(g, cells[held], place[held]))
+        near[held] = ~(bound(parts.centre) > parts.radius + margin)
+        # (both the middle and what is deepest lie in that sphere)
+        radius[held] = np.minimum(radius[held], 2.0 * parts.radius)
+    return _Parts(cells, place, uv, points, radius, area, low, hit, near, beside)
 
 
 def rectangles(g: Patch, cells: Index, place: Array) -> Array:

@@ -166,13 +166,26 @@ class Crossings:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
+@dataclass(frozen=True, slots=True)
+class Undecided:
+    """A tool so near a face between the grid's vertices, over so wide a piece of it, that the search was given up: a
+    contact up to `depth` deep may not be among those found."""
+
+    body: int
+    tool: int
+    face: int
+    depth: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """contacts : with all tools. counters : work done. crossings : triangles that meet, of surface tools."""
+    """contacts : with all tools. counters : work done. crossings : triangles that meet, of surface tools. undecided :
+    where contacts may lack; empty where nothing deeper than the tolerance can have been missed."""
 
     contacts: Contacts
     counters: Counters
     crossings: Crossings = field(default_factory=lambda: Crossings.joined([]))
+    undecided: tuple[Undecided, ...] = ()
 
 
 @dataclass(slots=True, eq=False)
@@ -212,7 +225,8 @@ class DetectCache:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """One call of `detect`: what its parts share. extents (n, 2, 3) : boxes of the model's nets."""
+    """One call of `detect`: what its parts share. extents (n, 2, 3) : boxes of the model's nets. undecided : filled by
+    them."""
 
     grids: Sequence[PatchGrid]
     nets: Sequence[Array]
@@ -220,6 +234,7 @@ class Run:
     cache: DetectCache
     body: int
     extents: Array
+    undecided: list[Undecided] = field(default_factory=list)
 
     @property
     def paper(self) -> bool:
@@ -242,6 +257,11 @@ class Run:
         """The model's patches whose boxes come within the margin of a box; felt : and within the size of their cells."""
         self.cache.counters[0] += len(self.extents)
         return near_box(self.extents, low, high, margin, 1.0 / self.cache.fewest_cells(self.grids) if felt else 0.0)
+
+    def give_up(self, tool: int, face: int, depth: float) -> None:
+        """Note that a contact up to `depth` deep may be missed; nothing where it is 0."""
+        if depth > 0:
+            self.undecided.append(Undecided(self.body, tool, face, depth))
 
     def rows(
         self,

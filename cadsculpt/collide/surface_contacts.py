@@ -163,7 +163,10 @@ def _closest_contacts(
             return _nearest(solid, points, np.arange(len(points) + 1)).gap
 
         region = run.grids[face].region
-        uv, points, area = quadrature.below_grid(g, left, distance, distance, margin, finest_size(run, g), region)
+        uv, points, area, undecided = quadrature.below_grid(
+            g, left, distance, distance, margin, finest_size(run, g), region
+        )
+        run.give_up(index, face, undecided)
         if len(uv):
             touch = _nearest(solid, points, np.arange(len(points) + 1))
             parts.append(_rows(run, index, face, uv, points, area, touch))
