@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cadsculpt.collide.continuous import edge_edge, vertex_face
+from cadsculpt.collide.continuous.primitives import edge_edge, vertex_face
 
 
 def read_queries(path: Path) -> tuple[np.ndarray, np.ndarray]:

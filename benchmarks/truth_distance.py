@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from cadsculpt.collide.distance import distance
+from cadsculpt.collide.certified.distance import distance
 from cadsculpt.collide.grid import PatchGrid
 from cadsculpt.collide.query import PointTool, SurfaceTool
 from cadsculpt.errors import CadsculptError
@@ -153,7 +153,7 @@ def occt_distance(a: BSplineSurface, b: BSplineSurface) -> tuple[float, Array, A
     """OpenCASCADE's distance of two faces, and its two points; None where it gives up."""
     from OCP.BRepExtrema import BRepExtrema_DistShapeShape
 
-    from cadsculpt.formats.occt_shape import shape_of_surface
+    from cadsculpt.formats.occt.shape import shape_of_surface
 
     found = BRepExtrema_DistShapeShape(shape_of_surface(a), shape_of_surface(b))
     if not found.IsDone() or found.NbSolution() < 1:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from truth_solids import BRACKET, Solid, in_bracket, random_turn, rounded
 
-from cadsculpt.collide.mesh import TriangleMesh
+from cadsculpt.collide.mesh.triangle_mesh import TriangleMesh
 from cadsculpt.motion.pose import Pose
 from cadsculpt.tools.composed import ComposedTool
 from cadsculpt.tools.implicit import ImplicitTool

@@ -14,12 +14,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from .collide import detect
-from .collide.distance import Body
+from .collide.certified.distance import Body
+from .collide.certified.interval import BUDGET
+from .collide.certified.proximity import Proximity, proximity
 from .collide.grid import PatchGrid
-from .collide.interval import BUDGET
-from .collide.mesh import TriangleMesh
-from .collide.mesh_field import MeshField
-from .collide.proximity import Proximity, proximity
+from .collide.mesh.field import MeshField
+from .collide.mesh.triangle_mesh import TriangleMesh
 from .errors import GeometryError, InputError
 from .motion.pose import Pose
 from .spline.surface import BSplineSurface

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .collide.detect import DistanceField, PatchGrid
-from .collide.sweep import (
+from .collide.continuous.sweep import (
     MovingField,
     MovingPatches,
     MovingPoint,
@@ -22,6 +21,7 @@ from .collide.sweep import (
     TimeOfContact,
     first_contact,
 )
+from .collide.detect import DistanceField, PatchGrid
 from .model import Model
 from .motion.motion import Motion
 from .motion.pose import Pose

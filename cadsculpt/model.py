@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.detect import DetectOptions
-from .collide.mesh import TriangleMesh
+from .collide.mesh.triangle_mesh import TriangleMesh
 from .errors import InputError
 from .motion.path import ToolPath
 from .patch import Patch, SourceFace, build_patch, mean_lengths

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .collide.body import GridCache
+from .collide.certified.body import GridCache
+from .collide.certified.proximity import separation
 from .collide.detect import SurfaceTool
-from .collide.proximity import separation
 from .errors import InputError, SimulationError
 from .expect import Expectation, evaluate, pair_indices
 from .frames import FrameMaker

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.detect import DetectOptions, PatchGrid, detect
-from .collide.mesh import TriangleMesh
+from .collide.mesh.triangle_mesh import TriangleMesh
 from .model import SourceBody, build_model
 from .motion.motion import Motion
 from .motion.path import ToolPath
@@ -68,7 +68,7 @@ def warm_beside(kinds: Sequence[str], integrator: str) -> None:
 
 def warm_collision_beside() -> None:
     """What two B-spline bodies need late or only where they meet: for a second process, beside one that collides them."""
-    from .collide.nearest_pair import nearest_pair
+    from .collide.certified.nearest_pair import nearest_pair
     from .collide.workspace import Spans
 
     u, rows, tally = np.array([0.0, 1.0]), np.zeros((1, 2), np.int64), np.ones((1, 2), np.int64)

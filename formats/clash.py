@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..collide.proximity import Proximity
+from ..collide.certified.proximity import Proximity
 from ..errors import InputError
 from ..units import conversion
 from . import registry

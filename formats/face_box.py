@@ -6,7 +6,7 @@ from OCP.Bnd import Bnd_Box
 from OCP.BRepBndLib import BRepBndLib
 from OCP.TopoDS import TopoDS_Face
 
-from .occt_quiet import quiet
+from .occt.quiet import quiet
 
 
 def face_box(face: TopoDS_Face) -> tuple[float, float, float, float, float, float]:

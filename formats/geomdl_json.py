@@ -115,7 +115,7 @@ def _surface(item: Mapping[str, Any], where: str, name: str, file: str) -> BSpli
 
 def _loop(trim: object, where: str) -> TrimLoop:
     """One trim, turned so that it runs anticlockwise around what it keeps and clockwise around a hole."""
-    from .occt_trim import reversed_loop, signed_area
+    from .occt.trim import reversed_loop, signed_area
 
     if not isinstance(trim, dict):
         raise InputError("an object is needed", where=where)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import GeometryError, InputError
 from ..spline.surface import BSplineSurface, Provenance
 from .part import Part
-from .path_text import text_of_file
+from .paths.path_text import text_of_file
 
 Array = NDArray[np.float64]
 

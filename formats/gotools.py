@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ..errors import CadsculptError, GeometryError, InputError
 from ..spline.surface import BSplineSurface, Provenance, TrimCurve, TrimLoop
 from .part import Part
-from .path_text import text_of_file
+from .paths.path_text import text_of_file
 
 Array = NDArray[np.float64]
 
@@ -237,7 +237,7 @@ def _with_trims(surface: BSplineSurface, loops: Iterable[list[TrimCurve]]) -> BS
     """The surface within its loops: anticlockwise ones keep what they hold, clockwise ones cut it out."""
     from dataclasses import replace
 
-    from .occt_trim import signed_area
+    from .occt.trim import signed_area
 
     made = [TrimLoop(tuple(curves), True) for curves in loops]
     return replace(surface, trims=tuple(TrimLoop(loop.curves, signed_area(loop) > 0.0) for loop in made))

@@ -23,8 +23,7 @@ from ..units import conversion, unit_name
 from .atomic import write_whole
 from .iges_entities import creased_surfaces, damaged_entities
 from .iges_records import IgesFile, order_properties, parse, text_of
-from .occt import OcctPart
-from .occt_document import (
+from .occt.document import (
     METRES_PER_MM,
     FaceNames,
     count_faces,
@@ -35,8 +34,9 @@ from .occt_document import (
     set_length_unit,
     wrong_entities,
 )
-from .occt_probe import ensure_survives
-from .occt_quiet import quiet
+from .occt.part import OcctPart
+from .occt.probe import ensure_survives
+from .occt.quiet import quiet
 from .step_text import REAL_FORMAT, step_real
 
 UNIT_OF_FLAG = {1: "in", 2: "mm", 4: "ft", 5: "mi", 6: "m", 7: "km", 8: "mil", 9: "um", 10: "cm", 11: "uin"}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..collide.mesh import TriangleMesh
+from ..collide.mesh.triangle_mesh import TriangleMesh
 from ..errors import CadsculptError, GeometryError, InputError
 from ..model import Model, SourceBody, build_model
 from ..motion.path import ToolPath

@@ -20,7 +20,7 @@ MEETING = 1e-5
 
 def edges_of_surface(surface: BSplineSurface) -> list[FaceEdge]:
     """The edges of one face, loop by loop and in their direction; an untrimmed surface has its domain's four sides."""
-    from .occt_boundary import sample_edge
+    from .occt.boundary import sample_edge
 
     edges = []
     for curve in boundary_curves(surface):

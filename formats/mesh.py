@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..collide.mesh import TriangleMesh
+from ..collide.mesh.triangle_mesh import TriangleMesh
 from ..errors import GeometryError, InputError
 from ..record import LatticeFrame
 from .atomic import whole_path

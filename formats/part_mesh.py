@@ -30,13 +30,13 @@ from ..errors import CadsculptError, InputError
 from ..units import conversion
 from .loose_edges import MEETING
 from .mesh import write_triangles
-from .occt import OcctPart
-from .occt_document import faces_in
-from .occt_quiet import quiet
-from .occt_shape import shape_of_surface
+from .occt.document import faces_in
+from .occt.part import OcctPart
+from .occt.quiet import quiet
+from .occt.shape import shape_of_surface
 from .part import Part
 from .patch_part import PatchPart
-from .rhino import RhinoPart
+from .rhino.part import RhinoPart
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

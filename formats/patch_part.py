@@ -39,8 +39,8 @@ class PatchFace(Face):
     @property
     def bbox(self) -> tuple[float, float, float, float, float, float]:
         from .face_box import face_box
-        from .occt_quiet import quiet
-        from .occt_shape import shape_of_surface
+        from .occt.quiet import quiet
+        from .occt.shape import shape_of_surface
 
         with quiet():
             return face_box(shape_of_surface(self.surface))
@@ -97,9 +97,9 @@ class PatchPart(Part):
 
     def validity(self) -> Validity:
         """OCCT's verdict on every face by itself."""
-        from .occt_quiet import quiet
-        from .occt_shape import shape_of_surface
-        from .occt_validity import validity_of
+        from .occt.quiet import quiet
+        from .occt.shape import shape_of_surface
+        from .occt.validity import validity_of
 
         with quiet():
             shapes = [shape_of_surface(surface) for surface in self.surfaces]
@@ -129,7 +129,7 @@ class PatchPart(Part):
 
                 write_surfaces(path, self.in_units(), self.units or "mm")
         elif format == "3dm":
-            from .rhino import write_part
+            from .rhino.part import write_part
 
             write_part(self, path)
         elif format in ("step", "iges"):
@@ -142,9 +142,9 @@ class PatchPart(Part):
         from OCP.BRep import BRep_Builder
         from OCP.TopoDS import TopoDS_Shell
 
-        from .occt import document_of_shapes
-        from .occt_quiet import quiet
-        from .occt_shape import shape_of_surface
+        from .occt.part import document_of_shapes
+        from .occt.quiet import quiet
+        from .occt.shape import shape_of_surface
 
         shells, faces, builder = [], [], BRep_Builder()
         with quiet():

@@ -67,7 +67,7 @@ def write_part(part: Part, path: str | os.PathLike[str], format: str) -> None:
     if format not in NAMES:
         raise InputError(f"no format {format!r}", where=str(path), mend=f"use one of {', '.join(NAMES)}")
     if format == "3dm":
-        from .rhino import write_part as write_rhino
+        from .rhino.part import write_part as write_rhino
 
         write_rhino(part, path)
     elif format == "json" and part.format != "json":
@@ -125,7 +125,7 @@ def _reader(format: str) -> Reader:
 
         return iges.read
     if format == "3dm":
-        from . import rhino
+        from .rhino import part as rhino
 
         return rhino.read
     if format == "g2":

@@ -18,8 +18,9 @@ from ..scene import ModelSpec, OutputSpec, RefitSpec, Scene, SolverSpec, ToolSpe
 from ..scene_tool import SIZE_KEYS, PathOptions
 from ..spec import Place, Spec, entries, one_line, read
 from ..units import unit_name
-from . import path_file, tool_toml
-from .path_rows import ReadPath
+from . import tool_toml
+from .paths import path_file
+from .paths.path_rows import ReadPath
 from .toml_file import TomlFile
 from .toml_file import read as read_toml
 from .tool_toml import ToolDefinition

@@ -18,8 +18,7 @@ from .._version import __version__
 from ..errors import InputError
 from ..units import conversion, unit_name
 from .atomic import write_whole
-from .occt import OcctPart
-from .occt_document import (
+from .occt.document import (
     METRES_PER_MM,
     count_faces,
     face_names,
@@ -28,8 +27,9 @@ from .occt_document import (
     set_length_unit,
     wrong_entities,
 )
-from .occt_probe import ensure_survives
-from .occt_quiet import quiet
+from .occt.part import OcctPart
+from .occt.probe import ensure_survives
+from .occt.quiet import quiet
 from .step_text import REAL_FORMAT, TIME_STAMP, StepFacts, facts_of, settled
 
 _KERNEL_UNITS = {

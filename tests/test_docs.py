@@ -60,7 +60,7 @@ def test_every_file_that_the_docs_name_exists():
             if "://" not in target:
                 assert (page.parent / target).exists(), f"{page.name} links to {target}"
     for path in re.findall(
-        r"`((?:cadsculpt|spline|collide|tools|physics)/\w+\.py)`", (ROOT / "docs/paper.md").read_text()
+        r"`((?:cadsculpt|spline|collide|tools|physics)/[\w/]+\.py)`", (ROOT / "docs/paper.md").read_text()
     ):
         found = ROOT / path if path.startswith("cadsculpt/") else ROOT / "cadsculpt" / path
         assert found.exists(), path

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cadsculpt.collide.mesh import TriangleMesh
+from cadsculpt.collide.mesh.triangle_mesh import TriangleMesh
 from cadsculpt.errors import SimulationError
 from cadsculpt.model import Model, SourceBody, build_model
 from cadsculpt.motion.path import ToolPath

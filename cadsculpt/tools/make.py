@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..collide.mesh import TriangleMesh
+from ..collide.mesh.triangle_mesh import TriangleMesh
 from ..errors import InputError
 from ..motion.pose import Pose
 from ..scene import ShapeSpec, ToolSpec

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..collide.detect import FieldTool
-from ..collide.mesh import TriangleMesh
-from ..collide.mesh_field import MeshField
+from ..collide.mesh.field import MeshField
+from ..collide.mesh.triangle_mesh import TriangleMesh
 from ..motion.pose import Pose
 
 Array = NDArray[np.float64]

@@ -19,8 +19,8 @@ from OCP.TopAbs import TopAbs_EDGE, TopAbs_FACE, TopAbs_SOLID
 from OCP.TopExp import TopExp_Explorer
 from OCP.TopoDS import TopoDS, TopoDS_Edge, TopoDS_Face, TopoDS_Shape
 
-from cadsculpt.formats.occt import document_of_shapes
-from cadsculpt.formats.occt_shape import geom_of_surface
+from cadsculpt.formats.occt.part import document_of_shapes
+from cadsculpt.formats.occt.shape import geom_of_surface
 from cadsculpt.spline.surface import BSplineSurface
 
 LENGTH, WIDTH, CORNER, HOLE = 100.0, 70.0, 10.0, 9.0

@@ -22,10 +22,10 @@ from cadsculpt.errors import CadsculptError, InputError
 from cadsculpt.formats import iges
 from cadsculpt.formats.iges_entities import creased_surfaces, damaged_entities, number
 from cadsculpt.formats.iges_records import IgesFile, parse, text_of, tokens
-from cadsculpt.formats.occt import OcctPart, document_of_shapes
-from cadsculpt.formats.occt_curve import sample_surface
-from cadsculpt.formats.occt_shape import shape_of_surface
-from cadsculpt.formats.occt_tolerance import placed
+from cadsculpt.formats.occt.curve import sample_surface
+from cadsculpt.formats.occt.part import OcctPart, document_of_shapes
+from cadsculpt.formats.occt.shape import shape_of_surface
+from cadsculpt.formats.occt.tolerance import placed
 from cadsculpt.spline.surface import BSplineSurface
 from cadsculpt.units import conversion
 

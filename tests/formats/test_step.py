@@ -23,11 +23,11 @@ from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
 
 from cadsculpt.errors import CadsculptError, InputError
 from cadsculpt.formats import step
-from cadsculpt.formats.occt import OcctPart, document_of_shapes
-from cadsculpt.formats.occt_curve import sample_surface
-from cadsculpt.formats.occt_document import set_name, shape_tool
-from cadsculpt.formats.occt_shape import shape_of_surface
-from cadsculpt.formats.occt_tolerance import placed
+from cadsculpt.formats.occt.curve import sample_surface
+from cadsculpt.formats.occt.document import set_name, shape_tool
+from cadsculpt.formats.occt.part import OcctPart, document_of_shapes
+from cadsculpt.formats.occt.shape import shape_of_surface
+from cadsculpt.formats.occt.tolerance import placed
 from cadsculpt.formats.step_text import facts_of, settled, step_real
 from cadsculpt.spline.surface import BSplineSurface
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cadsculpt.collide.detect import DetectOptions, PatchGrid, detect
-from cadsculpt.collide.mesh import TriangleMesh
+from cadsculpt.collide.mesh.triangle_mesh import TriangleMesh
 from cadsculpt.errors import GeometryError, InputError
 from cadsculpt.formats.scene_toml import SceneFile
 from cadsculpt.motion.pose import Pose

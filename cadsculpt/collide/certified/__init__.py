@@ -1,0 +1,1 @@
+"""Certified distance: an interval that holds the distance of two bodies, and the verdict on them."""

@@ -1,0 +1,1 @@
+"""Collision in time: when bodies that move within one step first touch."""

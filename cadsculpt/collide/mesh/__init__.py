@@ -1,0 +1,1 @@
+"""Triangle meshes as bodies: topology, a bounding tree, signed distance, distance of two meshes."""

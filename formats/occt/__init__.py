@@ -1,0 +1,1 @@
+"""STEP and IGES parts through OpenCASCADE."""

@@ -1,0 +1,207 @@
+"""A part held by the CAD kernel: what a STEP or IGES file becomes, and what is written as one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from OCP.BRep import BRep_Builder
+from OCP.collections import IndexedDataMap_TopoDS_Shape_List_TopoDS_Shape_TopTools_ShapeMapHasher
+from OCP.TDocStd import TDocStd_Document
+from OCP.TopAbs import TopAbs_ShapeEnum
+from OCP.TopExp import TopExp
+from OCP.TopoDS import TopoDS_Compound, TopoDS_Edge, TopoDS_Face, TopoDS_Shape
+
+from ...errors import InputError
+from ...spline.surface import BSplineSurface, Provenance
+from ...units import unit_name
+from ..part import Faces, Part, Validity
+from . import document as occt_document
+from .face import OcctFace
+from .quiet import quiet
+from .validity import validity_of
+
+_AREA_LINE = "the area of its faces"
+
+WORTH_SAYING = 5e-4
+"""Relative difference between the exact area and the CAD kernel's that is told."""
+
+
+class OcctPart(Part):
+    """A part whose shapes live in a document of the CAD kernel, in mm.
+
+    `schema` is the application protocol of a STEP file ("AP203", "AP214IS", "AP242DIS"), "" otherwise.
+    """
+
+    def __init__(
+        self,
+        document: TDocStd_Document,
+        path: Path,
+        format: str,
+        units: str,
+        *,
+        warnings: Sequence[str] = (),
+        schema: str = "",
+        names: occt_document.FaceNames | None = None,
+    ) -> None:
+        self.document = document
+        self.path = path
+        self.format = format
+        self.units = units
+        self.schema = schema
+        self.warnings = list(warnings)
+        with quiet():
+            self.shapes = occt_document.free_shapes(document)
+            self.shape = _compound(self.shapes)
+            self._number = _Numbers(self.shape)
+            names = names or occt_document.face_names(document)
+            found = list(occt_document.faces_in(self.shape))
+            unique = _unique_names([names.of(face) for face in found])
+        self.faces = Faces(
+            [
+                OcctFace(face, n, name, Provenance(path.name, name, units), self._number.faces_on, self._compare_area)
+                for n, (face, name) in enumerate(zip(found, unique, strict=True), 1)
+            ],
+            str(path),
+        )
+        self._number.count(found)
+        self._as_read: Validity | None = None
+        self._areas: dict[int, tuple[float, float]] = {}
+        self.sculpted = False
+
+    def face(self, number: int) -> OcctFace:
+        """The face of that number, with what the kernel knows of it."""
+        face = self.faces.number(number)
+        assert isinstance(face, OcctFace)
+        return face
+
+    def sculpt(self, surfaces: Mapping[int, BSplineSurface]) -> None:
+        from .sculpt import sculpt
+
+        self.validity_as_read()
+        with quiet():
+            sculpt(self, surfaces)
+        self.sculpted = True
+        self._areas.clear()
+
+    def validity(self) -> Validity:
+        with quiet():
+            return validity_of(self.shapes, [(face.number, self.face(face.number).shape) for face in self.faces])
+
+    def validity_as_read(self) -> Validity:
+        """The verdict on the part before it was first sculpted: some files are invalid from the start."""
+        if self._as_read is None:
+            self._as_read = self.validity()
+        return self._as_read
+
+    def write(self, path: Path, format: str) -> None:
+        if format == "step":
+            from ..step import write
+
+            write(self, path)
+        elif format == "iges":
+            from ..iges import write as write_iges
+
+            write_iges(self, path)
+        else:
+            from ..registry import write_part
+
+            write_part(self, path, format)
+
+    def _compare_area(self, number: int, area: float, kernel: float) -> None:
+        """Say in one line of the warnings where the kernel's own quadrature gives another area than ours."""
+        self._areas[number] = (area, kernel)
+        total, other = (sum(column) for column in zip(*self._areas.values(), strict=True))
+        self.warnings[:] = [line for line in self.warnings if not line.startswith(_AREA_LINE)]
+        if abs(total - other) > WORTH_SAYING * total:
+            self.warnings.append(
+                f"{_AREA_LINE} is {total:.6g} mm2, integrated exactly; OpenCASCADE's own quadrature, which other readers"
+                f" show, gives {other:.6g}"
+            )
+
+    def faces_on(self, edge: TopoDS_Edge) -> tuple[int, ...]:
+        """Numbers of the faces that an edge (as placed in the part) bounds."""
+        return self._number.faces_on(edge)
+
+
+class _Numbers:
+    """Which faces an edge bounds. The map is made when first asked for."""
+
+    def __init__(self, shape: TopoDS_Shape) -> None:
+        self._shape = shape
+        self._faces: list[TopoDS_Face] = []
+        self._on_edge: IndexedDataMap_TopoDS_Shape_List_TopoDS_Shape_TopTools_ShapeMapHasher | None = None
+        self._by_hash: dict[int, list[int]] = {}
+
+    def count(self, faces: Sequence[TopoDS_Face]) -> None:
+        """Take the faces in the order of their numbers."""
+        self._faces = list(faces)
+        for number, face in enumerate(faces, 1):
+            self._by_hash.setdefault(hash(face), []).append(number)
+
+    def number(self, face: TopoDS_Shape) -> int:
+        """The number of a face, 0 when it is none of the part's."""
+        for number in self._by_hash.get(hash(face), ()):
+            if self._faces[number - 1].IsSame(face):
+                return number
+        return 0
+
+    def faces_on(self, edge: TopoDS_Edge) -> tuple[int, ...]:
+        """Numbers of the faces that an edge bounds, ascending."""
+        if self._on_edge is None:
+            self._on_edge = IndexedDataMap_TopoDS_Shape_List_TopoDS_Shape_TopTools_ShapeMapHasher()
+            TopExp.MapShapesAndAncestors_s(
+                self._shape, TopAbs_ShapeEnum.TopAbs_EDGE, TopAbs_ShapeEnum.TopAbs_FACE, self._on_edge
+            )
+        if not self._on_edge.Contains(edge):
+            return ()
+        return tuple(sorted({self.number(face) for face in self._on_edge.FindFromKey(edge)} - {0}))
+
+
+def _compound(shapes: Sequence[TopoDS_Shape]) -> TopoDS_Compound:
+    builder, compound = BRep_Builder(), TopoDS_Compound()
+    builder.MakeCompound(compound)
+    for shape in shapes:
+        builder.Add(compound, shape)
+    return compound
+
+
+def _unique_names(names: Sequence[str]) -> list[str]:
+    """Every face's name once: a name that several share is followed by the face's number; "face12" where there is none."""
+    count = Counter(names)
+    taken = {name for name in names if name and count[name] == 1}
+    result = []
+    for number, name in enumerate(names, 1):
+        if name and count[name] == 1:
+            result.append(name)
+            continue
+        unique = f"{name}_{number}" if name else f"face{number}"
+        while unique in taken:
+            unique += "_"
+        taken.add(unique)
+        result.append(unique)
+    return result
+
+
+def document_of_shapes(
+    shapes: Sequence[tuple[str, TopoDS_Shape]],
+    units: str = "mm",
+    *,
+    faces: Sequence[tuple[str, TopoDS_Face]] = (),
+    path: Path | None = None,
+    format: str = "step",
+) -> OcctPart:
+    """A part of named shapes in mm, to be written as STEP or IGES in `units`.
+
+    shapes : (name, shape): faces, shells, solids or compounds. faces : (name, face) for faces inside them.
+    Raises InputError when there is no shape or the unit is not known.
+    """
+    if not shapes:
+        raise InputError("there is nothing to write", where=str(path or ""), mend="the part has no faces")
+    with quiet():
+        document = occt_document.new_document()
+        occt_document.set_length_unit(document, occt_document.METRES_PER_MM)
+        occt_document.add_shapes(document, shapes)
+        occt_document.name_faces(document, faces)
+    return OcctPart(document, path or Path(), format, unit_name(units or "mm"))

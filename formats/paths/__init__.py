@@ -1,0 +1,1 @@
+"""Tool paths from files: CSV, G-code, APT."""

@@ -1,0 +1,1 @@
+"""Rhino 3DM archives."""
