@@ -79,7 +79,7 @@ def on_compilation(tell: Callable[[], object]) -> Iterator[None]:
 
 def _once(dispatcher: Any) -> Any:
     """The same kernel for all constants: numba would compile it again for each integer that a kernel calls it with."""
-    template, plain = dispatcher.get_call_template, types.unliteral
+    template, plain = dispatcher.get_call_template, types.unliteral  # type: ignore[attr-defined]
     dispatcher.get_call_template = lambda args, kws: template(
         tuple(map(plain, args)), {name: plain(value) for name, value in kws.items()}
     )

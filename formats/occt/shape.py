@@ -113,7 +113,7 @@ def surface_of_geom(
 
     The poles are moved by `transformation` (a face's placement). Rectangular trimming is ignored: it belongs to the
     trims. `start` is where the domain of a periodic direction begins (`unrolled_knots`).
-    Raises GeometryError for other kinds (`occt_analytic` converts those).
+    Raises GeometryError for other kinds (`analytic` converts those).
     """
     geom = basis_of_geom(geom)
     if isinstance(geom, Geom_BSplineSurface):

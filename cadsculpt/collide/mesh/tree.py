@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 DEEPEST = 40
-"""Below this depth `mesh_build` halves a range as it stands: no tree is deeper than this and log2 of its triangles."""
+"""Below this depth `build` halves a range as it stands: no tree is deeper than this and log2 of its triangles."""
 
 ROUNDING = 2.0**-48
 """Error of a computed distance against the true one, relative to the farthest coordinate from the point."""

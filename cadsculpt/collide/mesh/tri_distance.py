@@ -45,7 +45,7 @@ def triangle_distance(p: ArrayLike, q: ArrayLike) -> TriangleDistance:
 
 @njit
 def tri_distance2(t: Array, p_frames: Array, p: int, q_frames: Array, q: int, pair: Array, work: Array) -> float:
-    """Squared distance of the triangles t[0:3] and t[3:6], with frames p_frames[p] and q_frames[q] (see `mesh_tree`).
+    """Squared distance of the triangles t[0:3] and t[3:6], with frames p_frames[p] and q_frames[q] (see `tree`).
 
     pair (6,) : the two points, on each. work (WORK + 6,) is scratch.
     """
