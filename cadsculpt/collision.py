@@ -49,8 +49,8 @@ def collide(
     """Whether a and b touch or come nearer than `clearance`, how they lie to each other, how far apart they are, and where.
 
     All lengths are in the unit of a and b (mm for parts). tolerance : how narrow the distance's interval is to be; None: a
-    millionth of the smaller body. touch : what is nearer counts as touching; None: 1e-7 of the smaller body. budget : pairs
-    of surface cells looked at before the answer is "undecided"; the interval is certified all the same.
+    millionth of the smaller body. touch : what is nearer counts as touching; None: a millionth, too. budget : pairs of
+    surface cells looked at before the answer is "undecided"; the interval is certified all the same.
 
     Raises InputError for what is no body, GeometryError for surfaces that cannot be taken (NaN, bad knots or weights).
     """

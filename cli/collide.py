@@ -21,11 +21,19 @@ SHOWN = 20
 @click.option(
     "--tolerance", type=float, metavar="X", help="How well the distance is to be known, in mm; 1e-6 of the size."
 )
+@click.option("--touch", type=float, metavar="X", help="What is nearer touches, in mm; 1e-6 of the size.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there.")
 @click.option("--units", metavar="U", help="Length unit of files that name none or the wrong one: mm, in, m, ...")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def command(
-    a: str, b: str, clearance: float, tolerance: float | None, as_json: bool, units: str | None, quiet: bool
+    a: str,
+    b: str,
+    clearance: float,
+    tolerance: float | None,
+    touch: float | None,
+    as_json: bool,
+    units: str | None,
+    quiet: bool,
 ) -> int:
     """Tell whether A and B touch, and bound the distance between them.
 
@@ -53,7 +61,7 @@ def command(
         progress.update("colliding")
         remark = "first use on this machine: compiling the kernels, once"
         with compile_beside(warm_collision_beside, tell=lambda: progress.update("compiling", remark=remark)):
-            result = collide(first.body, second.body, clearance=clearance, tolerance=tolerance)
+            result = collide(first.body, second.body, clearance=clearance, tolerance=tolerance, touch=touch)
     found = clash_object(result, first, second)
     if as_json:
         print_json(found)
@@ -61,6 +69,8 @@ def command(
         _print(found, (first.label, second.label))
     for line in warnings:
         warn(line)
+    if found["verdict"] == "undecided":
+        warn("the search was given up before the distance was known to either side of the limit (try a larger --touch)")
     return 0 if found["verdict"] == "clear" else 1
 
 
@@ -69,7 +79,7 @@ def _print(found: dict[str, Any], names: tuple[str, str]) -> None:
     print_pairs(
         [
             ("verdict", found["verdict"]),
-            ("kind", found["kind"]),
+            ("kind", found["kind"] if found["kind"] != "clear" else "apart"),
             ("distance", number(low, "mm", 9) if low == high else f"{low:.9g} to {high:.9g} mm"),
             *([("clearance", number(found["clearance"], "mm", 9))] if found["clearance"] > 0 else []),
             ("contacts", str(len(found["contacts"]))),

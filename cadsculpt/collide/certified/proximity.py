@@ -20,8 +20,9 @@ from .solid import contains, is_solid
 Array = NDArray[np.float64]
 Verdict = Literal["clear", "contact", "undecided"]
 
-TOUCH = 1e-7
-"""Bodies nearer than this part of the smaller one's size touch."""
+TOUCH = 1e-6
+"""Bodies nearer than this part of the smaller one's size touch: neighbouring faces of a CAD part, whose common edge each
+gives by a curve of its own, are no farther apart."""
 
 ROUNDING = 1e-12
 """The least touch tolerance, relative to the largest coordinate."""
