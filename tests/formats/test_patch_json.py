@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from cadsculpt.errors import CadsculptError, InputError
 from cadsculpt.formats import patch_json, step
 from cadsculpt.formats.json_text import load
-from cadsculpt.formats.rhino.part import part as rhino
+from cadsculpt.formats.rhino import part as rhino
 from cadsculpt.spline.refine import insert_knots
 from cadsculpt.spline.surface import BSplineSurface, Provenance, TrimCurve, TrimLoop
 

@@ -10,7 +10,7 @@ import pytest
 from cadsculpt.errors import InputError
 from cadsculpt.formats import step
 from cadsculpt.formats.patch_part import PatchPart
-from cadsculpt.formats.rhino.part import part as rhino
+from cadsculpt.formats.rhino import part as rhino
 from cadsculpt.spline.surface import BSplineSurface, TrimCurve, TrimLoop
 
 rhino3dm = pytest.importorskip("rhino3dm")
