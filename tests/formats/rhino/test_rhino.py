@@ -11,9 +11,9 @@ import pytest
 from cadsculpt.errors import CadsculptError, InputError
 from cadsculpt.formats import step
 from cadsculpt.formats.part import Face
+from cadsculpt.formats.rhino import part as rhino
 from cadsculpt.formats.rhino.archive import OBJECT_TABLE, archive_version, chunks, object_records
 from cadsculpt.formats.rhino.geometry import curve_points, encoded
-from cadsculpt.formats.rhino import part as rhino
 from cadsculpt.spline.refine import insert_knots
 from cadsculpt.spline.surface import BSplineSurface
 

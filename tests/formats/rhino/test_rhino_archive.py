@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cadsculpt.errors import CadsculptError, InputError
+from cadsculpt.formats.rhino import part as rhino
 from cadsculpt.formats.rhino.archive import (
     BREP_OBJECT_TYPE,
     Reader,
@@ -20,7 +21,6 @@ from cadsculpt.formats.rhino.archive import (
 from cadsculpt.formats.rhino.brep import brep_chunk, read_brep
 from cadsculpt.formats.rhino.geometry import clamped, clamped_surface, curve_points, encoded
 from cadsculpt.formats.rhino.nurbs import NURBS_CURVE, NURBS_SURFACE, Nurbs, nurbs_chunk, read_nurbs
-from cadsculpt.formats.rhino import part as rhino
 
 rhino3dm = pytest.importorskip("rhino3dm")
 
