@@ -1,7 +1,7 @@
 """What a session asks of continuous collision: how far the tools may move before one of them touches a part.
 
-Between two looks at the contacts, nets move in straight lines and tools along their motions (`collide.sweep`). What is
-said to be free is certified, however fast anything moves.
+Between two looks at the contacts, nets move in straight lines and tools along their motions (`collide.continuous.sweep`).
+What is said to be free is certified, however fast anything moves.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from .collide.continuous.sweep import (
     first_contact,
 )
 from .collide.detect import DistanceField, PatchGrid
+from .collide.query import BoundedField, lower_bound
 from .model import Model
 from .motion.motion import Motion
 from .motion.pose import Pose
@@ -92,9 +93,14 @@ class Lookahead:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _InFrame:
-    """A tool's signed distance in its own frame."""
+    """A tool's signed distance in its own frame: what is certain of it, and the distance itself only where the bound says
+    nothing, beside the tool's surface."""
 
     rest: DistanceField
 
     def field(self, points: Array) -> tuple[Array, Array]:
-        return self.rest.distance(points), self.rest.gradient(points)
+        value = np.array(lower_bound(self.rest, points))
+        beside = value == 0.0
+        if isinstance(self.rest, BoundedField) and beside.any():
+            value[beside] = self.rest.distance(points[beside])
+        return value, self.rest.gradient(points)

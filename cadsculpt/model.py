@@ -55,7 +55,8 @@ class Model:
     """Everything immutable of a scene, in the scene's length unit L; forces in N, time in s.
 
     step : length of one step of a run, s. steps : how many make a whole run. refit_threshold : nodes that moved less count
-    as not moved, L. size : diagonal of the sculpted faces' box, L. stride : how far a tool may move while the contacts
+    as not moved, L. size : diagonal of the sculpted faces' box, L. ball : a centre and a
+    radius, L, that hold these faces however they are sculpted. stride : how far a tool may move while the contacts
     are those that were seen at the start, L.
     """
 
@@ -69,6 +70,7 @@ class Model:
     options: DetectOptions
     refit_threshold: float
     size: float
+    ball: tuple[Array, float]
     stride: float
 
     def step_length(self, step: int) -> float:
@@ -129,6 +131,7 @@ def build_model(
         options=DetectOptions(mode=solver.mode, tolerance=solver.tolerance, delta=float(np.radians(solver.delta))),
         refit_threshold=STILL * scene.refit.tolerance,
         size=float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))),
+        ball=(0.5 * (points.max(axis=0) + points.min(axis=0)), float(np.linalg.norm(np.ptp(points, axis=0)))),
         stride=STRIDE * _smallest([spec.thickness for spec in scene.model], tools),
     )
 

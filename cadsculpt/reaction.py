@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .collide.contacts import Contacts
+from .collide.contacts import KEYS, Contacts
 from .motion.pose import Pose
 
 Array = NDArray[np.float64]
@@ -32,8 +32,8 @@ class Reaction:
 
 @dataclass(slots=True, eq=False)
 class StepActs:
-    """What acts during one step of dt seconds: the tools' impulses over its pieces, and the contacts of the piece in which
-    the overlap was deepest."""
+    """What acts during one step of dt seconds: the tools' impulses over its pieces, and of each pair of a body and a
+    tool the contacts of the piece in which the overlap was deepest."""
 
     tools: int
     dt: float
@@ -44,7 +44,7 @@ class StepActs:
     force: Array = field(init=False)
     torque: Array = field(init=False)
     greatest: Array = field(init=False)
-    _deepest: float = field(init=False, default=-np.inf)
+    _deepest: dict[tuple[int, int], float] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self.force, self.torque, self.greatest = (np.zeros((self.tools, 3)) for _ in range(3))
@@ -72,11 +72,28 @@ class StepActs:
             self.greatest[index, :2] = np.maximum(self.greatest[index, :2], (area, depth))
             self.greatest[index, 2] = depths[mine].max(initial=0.0)
         acting = (depths > 0) | (forces != 0).any(axis=1)
-        deepest = float(np.maximum(contacts.depth, depths)[acting].max(initial=-np.inf))
-        if not self._deepest > deepest:
-            self.contacts, self.forces, self.depths = contacts.chosen(acting), forces[acting], depths[acting]
-            self._deepest = deepest
+        self._keep(contacts.chosen(acting), forces[acting], depths[acting])
         return acting
+
+    def _keep(self, contacts: Contacts, forces: Array, depths: Array) -> None:
+        """Of each pair of a body and a tool, the piece in which the overlap was deepest."""
+        fresh, kept = np.zeros(len(contacts), np.bool_), np.ones(len(self.contacts), np.bool_)
+        for pair in {(int(a), int(b)) for a, b in zip(contacts.a, contacts.b, strict=True)}:
+            mine = (contacts.a == pair[0]) & (contacts.b == pair[1])
+            deepest = float(np.maximum(contacts.depth, depths)[mine].max())
+            if deepest >= self._deepest.get(pair, -np.inf):
+                self._deepest[pair] = deepest
+                fresh |= mine
+                kept &= ~((self.contacts.a == pair[0]) & (self.contacts.b == pair[1]))
+        if not kept.any():
+            self.contacts, self.forces, self.depths = contacts.chosen(fresh), forces[fresh], depths[fresh]
+            return
+        both = Contacts.joined([self.contacts.chosen(kept), contacts.chosen(fresh)])
+        order = [np.concatenate([getattr(self.contacts, key)[kept], getattr(contacts, key)[fresh]]) for key in KEYS]
+        place = np.lexsort(order)
+        self.forces = np.concatenate([self.forces[kept], forces[fresh]])[place]
+        self.depths = np.concatenate([self.depths[kept], depths[fresh]])[place]
+        self.contacts = both
 
     def reaction(self, index: int) -> Reaction:
         return Reaction(self.force[index], self.torque[index], *(float(x) for x in self.greatest[index]))

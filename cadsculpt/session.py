@@ -392,7 +392,11 @@ class Session:
         margin = 0.0
         for tool, a, b in zip(self.model.tools, before, after, strict=True):
             corners = tool.tool.box_corners
-            reach = float(np.linalg.norm(corners, axis=1).max()) if np.isfinite(corners).all() else self.model.size
+            reach = float(np.linalg.norm(corners, axis=1).max())
+            if not np.isfinite(reach):
+                # of a tool without an end, what is near the model
+                middle, half = self.model.ball
+                reach = float(max(np.linalg.norm(middle - pose.at) for pose in (a, b))) + half
             turn = float(np.linalg.norm(b.rotation - a.rotation))
             margin = max(margin, float(np.linalg.norm(b.at - a.at)) + reach * turn)
         return margin

@@ -21,7 +21,7 @@ SHOWN = 20
 @click.option(
     "--tolerance", type=float, metavar="X", help="How well the distance is to be known, in mm; 1e-6 of the size."
 )
-@click.option("--touch", type=float, metavar="X", help="What is nearer touches, in mm; 1e-6 of the size.")
+@click.option("--touch", type=float, metavar="X", help="Distances below X count as touching, in mm; 1e-6 of the size.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there.")
 @click.option("--units", metavar="U", help="Length unit of files that name none or the wrong one: mm, in, m, ...")
 @click.option("--quiet", is_flag=True, help="No progress.")
@@ -70,7 +70,9 @@ def command(
     for line in warnings:
         warn(line)
     if found["verdict"] == "undecided":
-        warn("the search was given up before the distance was known to either side of the limit (try a larger --touch)")
+        left = found["left_out"]
+        given_up = "the search was given up (ask for a larger --touch, or another --clearance)"
+        warn(f"undecided: {f'{len(left)} faces could not be looked at' if left else given_up}")
     return 0 if found["verdict"] == "clear" else 1
 
 
@@ -79,7 +81,7 @@ def _print(found: dict[str, Any], names: tuple[str, str]) -> None:
     print_pairs(
         [
             ("verdict", found["verdict"]),
-            ("kind", found["kind"] if found["kind"] != "clear" else "apart"),
+            ("kind", _kind(found)),
             ("distance", number(low, "mm", 9) if low == high else f"{low:.9g} to {high:.9g} mm"),
             *([("clearance", number(found["clearance"], "mm", 9))] if found["clearance"] > 0 else []),
             ("contacts", str(len(found["contacts"]))),
@@ -99,6 +101,14 @@ def _print(found: dict[str, Any], names: tuple[str, str]) -> None:
         )
         if len(found["contacts"]) > SHOWN:
             note(f"and {len(found['contacts']) - SHOWN} more (--json lists all)")
+
+
+def _kind(found: dict[str, Any]) -> str:
+    if found["verdict"] == "undecided":
+        return "unknown"
+    if found["kind"] != "clear":
+        return str(found["kind"])
+    return "apart" if found["verdict"] == "clear" else "apart, but nearer than the clearance"
 
 
 def _place(side: dict[str, Any]) -> str:

@@ -18,11 +18,13 @@ from .mesh import TRIANGLE_FORMATS, read_mesh
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NamedBody:
-    """What `collision.collide` takes, in mm. label : its file's name and face. faces : the names of its faces, by place."""
+    """What `collision.collide` takes, in mm. label : its file's name and face. faces : the names of its faces, by place.
+    left_out : of those without an exact surface."""
 
     label: str
     body: Any
     faces: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
 
 
 def body_named(text: str, units: str | None, on_file: Callable[[str], None], warnings: list[str]) -> NamedBody:
@@ -40,6 +42,8 @@ def body_named(text: str, units: str | None, on_file: Callable[[str], None], war
             raise InputError("a mesh has no faces to choose from", where=text, mend=f"write {path}")
         mesh = read_mesh(path, conversion(units or "mm", "mm"))
         warnings += [f"{path.name}: {line}" for line in mesh.warnings]
+        if not mesh.closed:
+            warnings.append(f"{path.name}: the mesh is open: it counts as a sheet, without an inside")
         if units is None:
             warnings.append(f"{path.name}: a mesh names no unit; its numbers are taken as mm (--units says otherwise)")
         return NamedBody(path.name, mesh, ())
@@ -55,21 +59,24 @@ def body_named(text: str, units: str | None, on_file: Callable[[str], None], war
         warnings.append(f"{path.name}: faces without an exact surface are left out: {', '.join(left_out[:5])}")
     if not surfaces:
         raise InputError("it has no face to collide", where=text, mend="cadsculpt inspect lists what a file holds")
-    return NamedBody(
-        f"{path.name}#{face}" if face else path.name, surfaces, tuple(f.name for f in chosen if not f.warning)
-    )
+    label = f"{path.name}#{face}" if face else path.name
+    return NamedBody(label, surfaces, tuple(f.name for f in chosen if not f.warning), tuple(left_out))
 
 
 def clash_object(result: Proximity, a: NamedBody, b: NamedBody) -> dict[str, Any]:
     """The object of `collide --json`, lengths in mm."""
     found = result.distance
     pairs = result.contacts
+    left_out = [*a.left_out, *b.left_out]
+    # nobody knows of what was not looked at
+    verdict = "undecided" if left_out and result.verdict == "clear" else result.verdict
     return {
-        "verdict": result.verdict,
+        "verdict": verdict,
         "kind": result.kind,
         "distance": [found.low, found.high],
         "clearance": result.clearance,
         "touch": result.touch,
+        "left_out": left_out,
         "contacts": [
             {
                 "point": pairs.point[i].tolist(),

@@ -124,3 +124,46 @@ def test_the_package_is_still_a_package():
 
     assert cs.collide.detect is module
     assert callable(cs.collide)
+
+
+def prism(corners: list[tuple[float, float]], depth: float = 1.0) -> list[BSplineSurface]:
+    """The walls of a prism over a polygon (x, z)."""
+    walls = []
+    knots = np.array([0.0, 0, 1, 1])
+    for (x0, z0), (x1, z1) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        net = np.array([[[x0, 0, z0], [x0, depth, z0]], [[x1, 0, z1], [x1, depth, z1]]])
+        walls.append(BSplineSurface(net, knots, knots, 1, 1))
+    return walls
+
+
+def quad(points: list[list[float]]) -> BSplineSurface:
+    knots = np.array([0.0, 0, 1, 1])
+    a, b, c, d = np.array(points, dtype=float)
+    return BSplineSurface(np.array([[a, d], [b, c]]), knots, knots, 1, 1)
+
+
+@pytest.mark.parametrize("at", [(0.8, 0.5, 0.8), (0.4, 0.5, 0.4), (1.5, 0.5, 0.5)])
+def test_a_body_beside_a_reentrant_edge_is_contained(at):
+    """All of the ball is nearest to the edge itself, where no single face tells the side."""
+    outline = [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (1.0, 1.0), (1.0, 2.0), (0.0, 2.0)]
+    walls = prism(outline[::-1])
+    ends = []
+    for y, order in ((0.0, 1), (1.0, -1)):
+        for x0, x1, z0, z1 in ((0, 1, 0, 1), (1, 2, 0, 1), (0, 1, 1, 2)):
+            ends.append(quad([[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]][::order]))
+    # the walls along the ends' inner borders are cut there, too
+    solid = [w for w in walls if np.ptp(w.control_points[..., 0]) < 1.5 and np.ptp(w.control_points[..., 2]) < 1.5]
+    solid += [quad([[x, 0, 0], [x, 1, 0], [x + 1, 1, 0], [x + 1, 0, 0]]) for x in (0.0, 1.0)] + [
+        quad([[0, 0, z], [0, 0, z + 1], [0, 1, z + 1], [0, 1, z]]) for z in (0.0, 1.0)
+    ]
+    result = cs.collide([*solid, *ends], (ImplicitTool.sphere(0.05), Pose(np.array(at))))
+    assert (result.verdict, result.kind) == ("contact", "contained")
+
+
+def test_a_sheet_whose_net_reaches_out_of_a_solid_is_contained():
+    cube = ImplicitTool.box((2.0, 2.0, 2.0))
+    inner = sheet(size=1.0, height=-0.3, bump=1.6)
+    assert inner.control_points[..., 2].max() > 1.0
+    assert inner.evaluate(0.5, 0.5)[2] < 0.9
+    result = cs.collide(cube, (inner, Pose(np.array([-0.5, -0.5, 0.0]))))
+    assert (result.verdict, result.kind) == ("contact", "contained")

@@ -16,6 +16,10 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
+KEYS = ("v", "u", "face", "b", "a")
+"""What contacts are sorted by, the last first."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Contacts:
     """n points where two bodies touch or overlap, sorted by (a, b, face, u, v).
@@ -65,5 +69,5 @@ class Contacts:
         if not parts:
             return cls.none()
         columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)}
-        order = np.lexsort([columns[key] for key in ("v", "u", "face", "b", "a")])
+        order = np.lexsort([columns[key] for key in KEYS])
         return cls(**{key: np.ascontiguousarray(value[order]) for key, value in columns.items()})

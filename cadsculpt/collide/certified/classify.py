@@ -19,12 +19,14 @@ from ..surface_contacts import EDGE, _nearest, _Solid
 from .body import SurfaceBody
 from .field_distance import PointField, signed_distance
 from .pairs import SurfacePairs
-from .solid import UPRIGHT
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Side = SurfaceBody | DistanceField
 Kind = Literal["clear", "touching", "piercing", "contained"]
+
+UPRIGHT = 0.5
+"""Cosine between the way to a body's nearest point and the normal there, from which on the normal tells the side."""
 
 PROBES = 400
 """Vertices of one body's grids that are looked at."""

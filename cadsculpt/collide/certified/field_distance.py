@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...spline.region import MIXED, OFF
 from ..cells import WHOLE
-from ..query import DistanceField
+from ..query import DistanceField, lower_bound
 from .body import CellStore, SurfaceBody
 from .interval import Goal, Search, Witness
 
@@ -71,6 +71,15 @@ def signed_distance(field: DistanceField, points: Array) -> Array:
     return out
 
 
+def certain_distance(field: DistanceField, points: Array) -> Array:
+    """What is certain of the field at points (n, 3): never farther from 0 than its distance, which some fields find by a
+    search. Raises InputError where it is not a number."""
+    out = np.asarray(lower_bound(field, np.ascontiguousarray(points)), dtype=np.float64)
+    if np.isnan(out).any():
+        raise InputError("a distance to the tool is not a number", mend="check the tool's sizes, pose and formula")
+    return out
+
+
 def box_of(field: DistanceField) -> Array:
     """The field's box (2, 3). Raises InputError where it is not a number."""
     box = np.asarray(field.box(), dtype=np.float64)
@@ -93,7 +102,7 @@ def surface_field_distance(body: SurfaceBody, field: DistanceField, goal: Goal) 
     )
     middle, half = body.extents.mean(axis=1), 0.5 * np.linalg.norm(body.extents[:, 1] - body.extents[:, 0], axis=1)
     apart = np.maximum(np.maximum(box[0] - body.extents[:, 1], body.extents[:, 0] - box[1]), 0.0)
-    waiting = np.maximum(signed_distance(field, middle) - half, np.linalg.norm(apart, axis=1)) - noise
+    waiting = np.maximum(certain_distance(field, middle) - half, np.linalg.norm(apart, axis=1)) - noise
     order = np.argsort(waiting, kind="stable")
     waiting = np.maximum(waiting[order], 0.0)
     opened, cells, lower = 0, np.zeros(0, np.int64), np.zeros(0)
@@ -143,7 +152,7 @@ def _lower(
     search.pairs += len(cells)
     centre, radius = store.ball[cells, :3], store.ball[cells, 3]
     hull, grown = store.hull[cells], store.grown[cells]
-    value = signed_distance(field, centre)
+    value = certain_distance(field, centre)
     lower = np.maximum(known, value - radius - noise)
     near = np.flatnonzero(lower < search.cutoff)
     if len(near):
@@ -151,7 +160,7 @@ def _lower(
         for t in [*(k * radius[near] for k in BEHIND), np.full(len(near), far)]:
             q = centre[near] + t[:, None] * behind
             reach = np.linalg.norm(hull[near] - q[:, None], axis=2).max(axis=1)
-            bound = signed_distance(field, q) - reach - grown[near] - noise - 1e-15 * t
+            bound = certain_distance(field, q) - reach - grown[near] - noise - 1e-15 * t
             lower[near] = np.maximum(lower[near], bound)
     _corners(store, cells[near], field, search)
     return np.maximum(lower, 0.0)
@@ -258,7 +267,7 @@ def fields_distance(a: DistanceField, b: DistanceField, goal: Goal) -> Search:
     lower = np.zeros(1)
     while True:
         centre, radius = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)
-        inner = signed_distance(a, centre)
+        inner = certain_distance(a, centre)
         here = inner <= radius + noise
         low, high, lower, centre, radius = low[here], high[here], lower[here], centre[here], radius[here]
         search.pairs += len(inner)
@@ -285,20 +294,20 @@ def fields_distance(a: DistanceField, b: DistanceField, goal: Goal) -> Search:
 
 def _between(a: DistanceField, b: DistanceField, centre: Array, radius: Array, far: float, noise: float) -> Array:
     """Lower bounds of f_b over the part of a in balls around centre (n, 3) with radius (n,)."""
-    value = signed_distance(b, centre)
+    value = certain_distance(b, centre)
     best = value - radius - noise
     normal = b.gradient(np.ascontiguousarray(centre))
     for behind in (4.0 * radius, 32.0 * radius, np.full(len(radius), far)):
         for ahead in (4.0 * radius, 32.0 * radius, np.full(len(radius), far)):
             q, y = centre + behind[:, None] * normal, centre - ahead[:, None] * normal
-            ball = signed_distance(a, y) - noise
+            ball = certain_distance(a, y) - noise
             # x = q - alpha normal + s: |x - y|^2 = (L - alpha)^2 + s^2 >= ball^2 on this side of y
             length, s2 = behind + ahead, radius * radius
             holds = (ball > 0.0) & (ball * ball > s2) & (ahead > radius)
             most = np.where(holds, length - np.sqrt(np.maximum(ball * ball - s2, 0.0)), behind + radius)
             most = np.clip(most, behind - radius, behind + radius)
             reach = np.sqrt(most * most + s2)
-            best = np.maximum(best, signed_distance(b, q) - reach - 2.0 * noise)
+            best = np.maximum(best, certain_distance(b, q) - reach - 2.0 * noise)
     return np.maximum(best, 0.0)
 
 

@@ -66,7 +66,7 @@ class Goal:
             raise InputError(f"a distance tolerance of {self.tolerance}", mend="give a number that is not negative")
         if self.threshold is not None and not (np.isfinite(self.threshold) and self.threshold >= 0):
             raise InputError(f"a distance threshold of {self.threshold}", mend="give a number that is not negative")
-        if self.budget < 1:
+        if not self.budget >= 1:
             raise InputError(f"a budget of {self.budget} pairs", mend="give a positive number")
 
     @property

@@ -75,9 +75,13 @@ def proximity(
     if found.low <= limit < found.high and not found.exhausted:
         # the interval is as narrow as was asked, and lies across the limit
         found = found.narrowed(distance(a, b, tolerance=least, threshold=limit, budget=budget, cache=cache))
-    if found.low > touch and (contains(one, two, touch) or contains(two, one, touch)):
+    within = (contains(one, two, touch), contains(two, one, touch)) if found.low > touch else (False, False)
+    if any(within):
         return Proximity("contact", "contained", replace(found, low=0.0, high=0.0, decided=True, exhausted=False), touch,
                          clearance, _closest(one, two, found, found.high))  # fmt: skip
+    if None in within and found.low > limit:
+        return Proximity("undecided", "clear", replace(found, low=0.0, decided=False), touch, clearance,
+                         _closest(one, two, found, -found.high))  # fmt: skip
     if found.low > limit:
         return Proximity("clear", "clear", found, touch, clearance, SurfacePairs.none())
     if found.high > limit:
@@ -107,8 +111,11 @@ def separation(
     one, two = prepared(a, "first body", cache), prepared(b, "second body", cache)
     least = ROUNDING * max(_reach(one), _reach(two))
     for outer, inner in ((one, two), (two, one)):
-        if found.low > least and contains(outer, inner, least):
+        within = contains(outer, inner, least) if found.low > least else False
+        if within:
             return replace(found, low=0.0, high=0.0)
+        if within is None:
+            return replace(found, low=0.0, decided=False)
     return found
 
 

@@ -12,6 +12,7 @@ from ...spline.trim import curve_points
 from ..query import DistanceField
 from ..surface_contacts import EDGE
 from .body import SurfaceBody
+from .classify import UPRIGHT, depths
 from .field_distance import PointField, signed_distance, surface_field_distance
 from .interval import Goal
 
@@ -23,9 +24,6 @@ SAMPLES = 24
 
 NEIGHBOURS = (4, 16, 64)
 """Among so many nearest points of all edges the partner of an edge's point is looked for, most having it among the first."""
-
-UPRIGHT = 0.5
-"""Cosine between the way to a body's nearest point and the normal there, from which on the normal tells the side."""
 
 
 def is_solid(side: SurfaceBody | DistanceField) -> bool:
@@ -109,7 +107,7 @@ def depth_inside(side: SurfaceBody | DistanceField, point: Array, tolerance: flo
     if (point < low - tolerance).any() or (point > high + tolerance).any():
         return -float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
     search = surface_field_distance(side, PointField(point), Goal(tolerance, budget=20_000))
-    if search.a is None or search.high <= tolerance:
+    if search.a is None or search.high <= tolerance or not search.decided:
         return np.nan
     grid, w = side.tool.grids[search.a.face], search.a
     region = side.region(w.face)
@@ -127,34 +125,44 @@ def depth_inside(side: SurfaceBody | DistanceField, point: Array, tolerance: flo
     return -search.high if cosine > 0 else search.high
 
 
-def contains(outer: SurfaceBody | DistanceField, inner: SurfaceBody | DistanceField, tolerance: float) -> bool:
-    """Whether a body is a solid and holds another one, or a lump of it, that does not touch its boundary. Their boxes are
-    asked first, which costs nothing."""
-    return _may_hold(outer, inner) and is_solid(outer) and holds(outer, inner, tolerance)
+def contains(outer: SurfaceBody | DistanceField, inner: SurfaceBody | DistanceField, tolerance: float) -> bool | None:
+    """Whether a body is a solid and holds another one, or a lump of it, that does not touch its boundary; None where that
+    cannot be told. Their boxes are asked first, which costs nothing."""
+    if not (_may_hold(outer, inner) and is_solid(outer)):
+        return False
+    return holds(outer, inner, tolerance)
 
 
 def _may_hold(outer: SurfaceBody | DistanceField, inner: SurfaceBody | DistanceField) -> bool:
-    """Whether, by their boxes, a patch of one body could lie inside another."""
+    """Whether, by their boxes, a piece of one body could lie inside another. (Nets reach beyond their surfaces, so that
+    boxes need not hold each other.)"""
     box = np.asarray(outer.box if isinstance(outer, SurfaceBody) else outer.box())
     own = inner.extents if isinstance(inner, SurfaceBody) else np.asarray(inner.box())[None]
-    return bool(((own[:, 0] >= box[0]) & (own[:, 1] <= box[1])).all(axis=1).any())
+    return bool(((own[:, 0] <= box[1]) & (own[:, 1] >= box[0])).all(axis=1).any())
 
 
-def holds(outer: SurfaceBody | DistanceField, inner: SurfaceBody | DistanceField, tolerance: float) -> bool:
-    """Whether one body that does not touch a solid's boundary lies inside it, or a lump of it does."""
+def holds(outer: SurfaceBody | DistanceField, inner: SurfaceBody | DistanceField, tolerance: float) -> bool | None:
+    """Whether one body that does not touch a solid's boundary lies inside it, or a lump of it does; None where the side of
+    none of its points can be told."""
     box = np.asarray(outer.box if isinstance(outer, SurfaceBody) else outer.box())
-    for point in _probes(inner, box):
+    points = _probes(inner, box)
+    told = not points
+    for point in points:
         depth = depth_inside(outer, point, tolerance)
+        if np.isnan(depth) and isinstance(outer, SurfaceBody):
+            # nearest to an edge: there the faces' normals together tell the side
+            depth = float(depths(outer, point[None], tolerance)[0])
         if not np.isnan(depth):
+            told = True
             if depth > 0.0:
                 return True
             if not isinstance(inner, SurfaceBody) or len(inner.tool.grids) == 1:
                 return False
-    return False
+    return False if told else None
 
 
 def _probes(inner: SurfaceBody | DistanceField, box: Array) -> list[Array]:
-    """Points of a body, some of every patch that a box could hold."""
+    """Points of a body in a box, some of every patch that reaches into it."""
     if not isinstance(inner, SurfaceBody):
         own = np.asarray(inner.box())
         if not np.isfinite(own).all():
@@ -167,11 +175,12 @@ def _probes(inner: SurfaceBody | DistanceField, box: Array) -> list[Array]:
                 points.append(at)
         return points
     points = []
-    within = ((inner.extents[:, 0] >= box[0]) & (inner.extents[:, 1] <= box[1])).all(axis=1)
-    for k in np.flatnonzero(within).tolist():
+    meets = ((inner.extents[:, 0] <= box[1]) & (inner.extents[:, 1] >= box[0])).all(axis=1)
+    for k in np.flatnonzero(meets).tolist():
         grid = inner.tool.grids[k]
         names = np.arange(grid.shape[0] * grid.shape[1]) if grid.inside is None else np.flatnonzero(grid.inside.ravel())
         some = names[np.unique(np.linspace(0, len(names) - 1, 7).astype(np.int64)[1:-1])]
         u, v = grid.matrices.u[some // grid.shape[1]], grid.matrices.v[some % grid.shape[1]]
-        points += list(grid.surface.with_control_points(inner.tool.nets[k]).evaluate(u, v))
+        found = grid.surface.with_control_points(inner.tool.nets[k]).evaluate(u, v)
+        points += list(found[((found >= box[0]) & (found <= box[1])).all(axis=1)])
     return points
