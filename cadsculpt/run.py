@@ -68,13 +68,14 @@ class _Clearance:
     cache: GridCache = field(default_factory=GridCache)
 
     @classmethod
-    def of(cls, model: Model) -> _Clearance:
+    def of(cls, model: Model, history: History) -> _Clearance:
         wanted = np.zeros((len(model.bodies), len(model.tools)), dtype=np.bool_)
         for spec in model.scene.expect:
             if spec.what == "clearance":
                 body, tool = pair_indices(spec, model)
                 wanted[slice(None) if body is None else body, slice(None) if tool is None else tool] = True
-        return cls(wanted, np.full(wanted.shape, np.inf))
+        before = np.where(np.isnan(history.clearance), np.inf, history.clearance)
+        return cls(wanted, before.min(axis=0, initial=np.inf))
 
     def measure(self, session: Session) -> Array:
         """Certified lower bounds of the distances asked for, NaN elsewhere: (bodies, tools). One that is not the smallest
@@ -144,7 +145,7 @@ def run(
         history = History.of_arrays(resume)
     else:
         refuse_tools_inside(session)
-    clearance = _Clearance.of(model)
+    clearance = _Clearance.of(model, history)
     farthest = _Farthest([patch.grid.matrices.points(*_net(patch.surface)) for patch in model.patches])
     frames = FrameMaker.of(session) if hooks.on_frame else None
     every = max(1, round(1.0 / (model.scene.output.frames_per_second * model.step)))

@@ -285,6 +285,7 @@ class Session:
             "time": np.array(state.time),
             "step": np.array(state.step),
             "touched": state.touched,
+            "undecided": np.array([(*pair, depth) for pair, depth in sorted(self.undecided.items())]).reshape(-1, 3),
             "pose_at": np.array([pose.at for pose in state.poses]),
             "pose_rotation": np.array([pose.rotation for pose in state.poses]),
         }
@@ -320,6 +321,7 @@ class Session:
         )
         if shapes != mine or len(state.poses) != len(self.model.tools):
             raise InputError("the checkpoint belongs to another scene", mend="start the run again with --force")
+        self.undecided = {(int(a), int(b)): float(depth) for a, b, depth in arrays.get("undecided", ())}
         self.state = state
 
     # -------------------------------------------------------------- internals

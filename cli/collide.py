@@ -23,7 +23,10 @@ SHOWN = 20
 )
 @click.option("--touch", type=float, metavar="X", help="Distances below X count as touching, in mm; 1e-6 of the size.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there.")
-@click.option("--units", metavar="U", help="Length unit of files that name none or the wrong one: mm, in, m, ...")
+@click.option(
+    "--units-a", metavar="U", help="Length unit of A, where its file names none or the wrong one: mm, in, ..."
+)
+@click.option("--units-b", metavar="U", help="The same for B.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def command(
     a: str,
@@ -32,7 +35,8 @@ def command(
     tolerance: float | None,
     touch: float | None,
     as_json: bool,
-    units: str | None,
+    units_a: str | None,
+    units_b: str | None,
     quiet: bool,
 ) -> int:
     """Tell whether A and B touch, and bound the distance between them.
@@ -56,7 +60,8 @@ def command(
     warnings: list[str] = []
     with ProgressDisplay(quiet=quiet) as progress:
         first, second = (
-            body_named(text, units, lambda name: progress.update("reading", remark=name), warnings) for text in (a, b)
+            body_named(text, units, lambda name: progress.update("reading", remark=name), warnings)
+            for text, units in ((a, units_a), (b, units_b))
         )
         progress.update("colliding")
         remark = "first use on this machine: compiling the kernels, once"

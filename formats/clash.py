@@ -45,7 +45,9 @@ def body_named(text: str, units: str | None, on_file: Callable[[str], None], war
         if not mesh.closed:
             warnings.append(f"{path.name}: the mesh is open: it counts as a sheet, without an inside")
         if units is None:
-            warnings.append(f"{path.name}: a mesh names no unit; its numbers are taken as mm (--units says otherwise)")
+            warnings.append(
+                f"{path.name}: a mesh names no unit; its numbers are taken as mm (--units-a, --units-b say otherwise)"
+            )
         return NamedBody(path.name, mesh, ())
     part = registry.read(path, units=units)
     chosen = list(part.faces)

@@ -81,6 +81,9 @@ def test_units_are_those_of_each_file(tmp_path, capsys):
     assert cadsculpt(["collide", str(a), str(b), "--json", "--quiet"]) == 0
     low, high = json.loads(capsys.readouterr().out)["distance"]
     assert low <= 25.4 <= high
+    assert cadsculpt(["collide", str(a), str(b), "--units-b", "cm", "--json", "--quiet"]) == 0
+    low, high = json.loads(capsys.readouterr().out)["distance"]
+    assert low <= 10.0 <= high
 
 
 @pytest.mark.parametrize(
