@@ -13,7 +13,7 @@ h^2 omega^2 + 2 h gamma / m < 4 for every frequency omega. The contact forces in
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,12 @@ from numpy.typing import NDArray
 from ..errors import InputError, SimulationError
 from ..jit import njit
 from .forces import local_nodes, press, rub
+from .impulses import contact_rows, impel, relative_velocity, touches
 from .lattice import Lattice
-from .springs import SCRATCH_ROWS, fastest_stretch, highest_frequency, spring_forces
+from .rigid import ride
+from .springs import fastest_stretch, highest_frequency, largest_drag, spring_forces
+from .ties import gather, scatter
+from .workspace import Workspace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -46,27 +50,26 @@ does."""
 class LatticeState:
     """What moves: x (N, 3) [L], velocity (N, 3) [L/s], rest_length (13, N) [L], which plastic flow changes.
 
-    scratch : the kernel's working memory, no part of the state.
+    workspace : the integrators' memory, no part of the state.
     """
 
     x: Array
     velocity: Array
     rest_length: Array
-    scratch: Array
+    workspace: Workspace = field(default_factory=Workspace)
 
     @classmethod
     def at_rest(cls, lattice: Lattice) -> LatticeState:
         """The lattice as it was built."""
-        return cls(
-            lattice.nodes.copy(),
-            np.zeros_like(lattice.nodes),
-            lattice.rest_length.copy(),
-            np.zeros((SCRATCH_ROWS, len(lattice.nodes) + 2)),
-        )
+        return cls(lattice.nodes.copy(), np.zeros_like(lattice.nodes), lattice.rest_length.copy())
 
     def copy(self) -> LatticeState:
         """A state of its own with the same values."""
-        return LatticeState(self.x.copy(), self.velocity.copy(), self.rest_length.copy(), self.scratch.copy())
+        return LatticeState(self.x.copy(), self.velocity.copy(), self.rest_length.copy())
+
+
+_NO_NODES: Index = np.zeros((0, 4), dtype=np.int64)
+_NO_WEIGHTS: Array = np.zeros((0, 4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +79,10 @@ class ContactLoad:
     nodes, weights (n, 4) : from `node_weights`. normal (n, 3) : out of the model. depth (n,) : at the start of the
     step, negative while the tool is still away [L]. area (n,) [L^2]. velocity (n, 3) : the tool's at the contact
     [L/s]. stiffness, damping (n,) : k_n [N/L^3] and c_n [N s/L^3]. friction (n,) : mu.
+
+    other_nodes, other_weights (n, 4) : the nodes of the same lattice (an assembly's) that carry the other side, and their
+    weights; a contact whose other_weights are all 0 meets something rigid. Its velocity is then sum other_weights v + velocity.
+    Both None: every contact meets something rigid.
     """
 
     nodes: Index
@@ -87,12 +94,22 @@ class ContactLoad:
     stiffness: Array
     damping: Array
     friction: Array
+    other_nodes: Index | None = None
+    other_weights: Array | None = None
+
+    def others(self) -> tuple[Index, Array]:
+        """other_nodes and other_weights, both (0, 4) where there are none."""
+        if self.other_nodes is None or self.other_weights is None:
+            return _NO_NODES, _NO_WEIGHTS
+        return self.other_nodes, self.other_weights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepForces:
     """What a step did: per contact the mean_force and end_force (n, 3) on the model [N], and the depth (n,) at its
-    end [L].
+    end [L]. The other side of a contact feels the exact opposite.
+
+    The arrays of an explicit step are views of the state's workspace: they hold until its next step.
 
     max_speed : of any node at the end [L/s]. substep [s], substeps : how the step was cut.
     """
@@ -113,10 +130,13 @@ def stable_substep(lattice: Lattice, state: LatticeState | None = None, *, safet
     """
     square = lattice.highest_frequency
     if state is not None:
+        state.workspace.fit(lattice, 0)
+        ties = lattice.ties
         square = highest_frequency(
-            lattice.segments, lattice.stiffness, state.rest_length, lattice.inverse_mass, state.x, state.scratch
-        )
-    drag = float((lattice.gamma * lattice.inverse_mass).max())
+            lattice.segments, lattice.stiffness, state.rest_length, lattice.inverse_mass, state.x, state.workspace.scratch,
+            ties.nodes, ties.start, ties.masters, ties.weights,
+        )  # fmt: skip
+    drag = largest_drag(lattice.gamma, lattice.inverse_mass)
     bound = drag + math.sqrt(drag * drag + 4.0 * square)
     return safety * 4.0 / bound if bound > 0.0 else math.inf
 
@@ -129,12 +149,18 @@ def advance(
     *,
     substep: float | None = None,
     external: Array | None = None,
+    frame_velocity: Array | None = None,
 ) -> StepForces:
     """Integrate eq. 4 over dt seconds in equal sub-steps; `state` is changed in place.
 
     substep : the longest allowed, None for the automatic one, which is stable. external (N, 3) : further nodal forces
     [N], constant. During the step each contact's plane moves with its tool: depth(t) = depth + normal . (x_c(t) -
-    x_c(0) - velocity t).
+    x_c(0) - velocity t), and less by what a deformable other side moves.
+
+    frame_velocity (N, 3) : the velocity [L/s] of the rigid body that carries each node, which gamma damps against; None
+    where all that is held stands still. What nothing holds moves freely: gamma damps its deformation alone (rigid.py).
+
+    Nothing is allocated once the workspace of the state has met as many contacts; the arrays returned are views of it.
 
     Raises InputError for a substep that is not stable, naming the largest that is, and SimulationError when the lattice
     moves faster than sound or a number overflows; the state is then as it was.
@@ -154,11 +180,12 @@ def advance(
     count = max(1, math.ceil(dt / longest * (1.0 - 1e-12)))
     if load is None:
         load = NO_LOAD
-    contacts = len(load.nodes)
-    depth = np.array(load.depth, dtype=np.float64)
-    mean_force, end_force = np.zeros((contacts, 3)), np.zeros((contacts, 3))
-    rest_before = state.rest_length.copy() if lattice.plastic else None
-    _advance(
+    contacts, work, ties = len(load.nodes), state.workspace, lattice.ties
+    work.fit(lattice, contacts)
+    other_nodes, other_weights = load.others()
+    depth, mean_force, end_force = work.depth[:contacts], work.mean_force[:contacts], work.end_force[:contacts]
+    depth[:] = load.depth
+    outcome, max_speed = _advance(
         lattice.segments,
         lattice.stiffness,
         lattice.rest_length,
@@ -167,13 +194,22 @@ def advance(
         lattice.plastic,
         lattice.inverse_mass,
         lattice.gamma,
-        _NO_FORCE if external is None else np.ascontiguousarray(external, dtype=np.float64),
+        lattice.free,
+        ties.row,
+        ties.nodes,
+        ties.start,
+        ties.masters,
+        ties.weights,
+        lattice.nodes,
+        _NO_FIELD if external is None else np.ascontiguousarray(external, dtype=np.float64),
+        _NO_FIELD if frame_velocity is None else np.ascontiguousarray(frame_velocity, dtype=np.float64),
         state.x,
         state.velocity,
         state.rest_length,
-        state.scratch,
         load.nodes,
         load.weights,
+        other_nodes,
+        other_weights,
         load.normal,
         load.area,
         load.stiffness,
@@ -183,28 +219,35 @@ def advance(
         depth,
         mean_force,
         end_force,
+        work.scratch,
+        work.place,
+        work.rest,
+        work.rigid,
+        work.distinct,
+        work.local,
+        work.impulse,
+        work.marks,
+        work.nodal,
+        work.pressing,
+        work.rubbing,
+        work.mobility,
+        work.start,
+        work.node,
+        work.weight,
         dt / count,
         count,
     )
-    nodes = len(lattice.nodes)
-    velocity = np.ascontiguousarray(state.scratch[3:6, 1 : nodes + 1].T)
-    max_speed = math.sqrt(float(np.einsum("nc,nc->n", velocity, velocity).max()))
-    stretch = fastest_stretch(lattice.segments, lattice.stiffness, lattice.rest_length, velocity) * dt / count
-    finite = bool(np.isfinite(max_speed) and np.isfinite(state.scratch[0:3]).all())
-    if not (finite and stretch <= MOST_STRETCH):
-        if rest_before is not None:
-            state.rest_length[:] = rest_before
-        raise SimulationError(_SUPERSONIC if finite else _NOT_FINITE, mend=_CALMER)
-    state.x[:] = state.scratch[0:3, 1 : nodes + 1].T
-    state.velocity[:] = velocity
+    if outcome != _DONE:
+        raise SimulationError(_SUPERSONIC if outcome == _TOO_FAST else _NOT_FINITE, mend=_CALMER)
     return StepForces(mean_force, end_force, depth, max_speed, dt / count, count)
 
 
 _NOT_FINITE = "the lattice's positions are no longer finite"
 _SUPERSONIC = "parts of the lattice move faster than sound does in the material"
 _CALMER = "reduce the step, the tool's speed or the depth it presses to"
+_DONE, _TOO_FAST, _LOST = 0, 1, 2
 
-_NO_FORCE: Array = np.zeros((0, 3))
+_NO_FIELD: Array = np.zeros((0, 3))
 NO_LOAD = ContactLoad(
     np.zeros((0, 4), dtype=np.int64),
     np.zeros((0, 4)),
@@ -228,13 +271,22 @@ def _advance(
     plastic: bool,
     inverse_mass: Array,
     gamma: Array,
+    free: Index,
+    tie_row: Index,
+    tied: Index,
+    tie_start: Index,
+    masters: Index,
+    tie_weights: Array,
+    rest_nodes: Array,
     external: Array,
+    frame_velocity: Array,
     x0: Array,
     velocity0: Array,
     rest_length: Array,
-    scratch: Array,
     nodes: Index,
     weights: Array,
+    other_nodes: Index,
+    other_weights: Array,
     normal: Array,
     area: Array,
     contact_stiffness: Array,
@@ -244,23 +296,49 @@ def _advance(
     depth: Array,
     mean_force: Array,
     end_force: Array,
+    scratch: Array,
+    place: Index,
+    rest_before: Array,
+    rigid: Array,
+    distinct_space: Index,
+    local_space: Index,
+    impulse: Array,
+    marks: NDArray[np.bool_],
+    nodal_space: Array,
+    pressing: Array,
+    rubbing: Array,
+    mobility: Array,
+    start: Index,
+    node: Index,
+    weight: Array,
     h: float,
     count: int,
-) -> None:
-    """`count` sub-steps of h seconds. The new positions and velocities are left in rows 0 to 2 and 3 to 5 of
-    scratch.
+) -> tuple[int, float]:
+    """`count` sub-steps of h seconds: how they ended (_DONE: with the new state in x0, velocity0 and rest_length) and the
+    largest speed at the end.
     """
-    size = len(inverse_mass)
-    contacts = len(nodes)
+    size, contacts = len(inverse_mass), len(nodes)
     x, v, f, work = scratch[0:3], scratch[3:6], scratch[6:9], scratch[9:11]
     for a in range(3):
-        x[a, 0] = x[a, size + 1] = 0.0
+        x[a, 0] = x[a, size + 1] = v[a, 0] = v[a, size + 1] = 0.0
         for n in range(size):
             x[a, n + 1] = x0[n, a]
             v[a, n + 1] = velocity0[n, a]
-    distinct, local = local_nodes(nodes, size)
-    nodal, marks = np.empty((len(distinct), 12)), np.empty((contacts, 4), dtype=np.bool_)
-    impulse, rubbing = np.empty((contacts, 4)), np.empty((contacts, 3))
+        scatter(tied, tie_start, masters, tie_weights, v[a, 1 : size + 1])
+    if plastic:
+        rest_before[:] = rest_length
+    mean_force[:] = 0.0
+    in_turns = len(other_nodes) > 0 or touches(nodes, tie_row)
+    met = 0
+    if in_turns:
+        pressing[:contacts] = 0.0
+        rubbing[:contacts] = 0.0
+        contact_rows(
+            nodes, weights, other_nodes, other_weights, tie_row, tie_start, masters, tie_weights, start, node, weight
+        )
+    elif contacts:
+        met = local_nodes(nodes, place, distinct_space, local_space)
+    distinct, local, nodal = distinct_space[:met], local_space[:contacts], nodal_space[:met]
 
     for _ in range(count):
         for a in range(3):
@@ -269,9 +347,19 @@ def _advance(
             for a in range(3):
                 f[a, n + 1] = external[n, a]
         spring_forces(segments, stiffness, initial_length, yield_strain, hardening, plastic, x, rest_length, f, work)
+        for n in range(len(frame_velocity)):
+            for a in range(3):
+                f[a, n + 1] += gamma[n] * frame_velocity[n, a]
+        ride(free, gamma, frame_velocity, x, v, f, rigid)
         for a in range(3):
+            gather(tied, tie_start, masters, tie_weights, f[a, 1 : size + 1])
             _accelerate(f[a, 1 : size + 1], gamma, inverse_mass, h, v[a, 1 : size + 1])
-        if contacts:
+        if in_turns:
+            impel(
+                start, node, weight, normal, area, contact_stiffness, contact_damping, friction, tool, depth, inverse_mass,
+                h, v, pressing, rubbing, mobility, rigid,
+            )  # fmt: skip
+        elif contacts:
             # f now holds the velocities before the sub-step
             press(
                 distinct, local, weights, normal, area, contact_stiffness, contact_damping, tool, depth, inverse_mass,
@@ -279,16 +367,47 @@ def _advance(
             )  # fmt: skip
             rub(distinct, local, normal, tool, friction, inverse_mass, impulse, v, nodal, rubbing)
         for a in range(3):
+            scatter(tied, tie_start, masters, tie_weights, v[a, 1 : size + 1])
             _move(v[a], h, x[a])
         for c in range(contacts):
-            total = impulse[c, 0] + impulse[c, 1] + impulse[c, 2] + impulse[c, 3]
+            if in_turns:
+                total = pressing[c]
+            else:
+                total = impulse[c, 0] + impulse[c, 1] + impulse[c, 2] + impulse[c, 3]
             for a in range(3):
-                relative = -tool[c, a]
-                for k in range(4):
-                    relative += weights[c, k] * v[a, nodes[c, k] + 1]
+                if in_turns:
+                    relative = relative_velocity(c, start, node, weight, tool, v, a)
+                else:
+                    relative = -tool[c, a]
+                    for k in range(4):
+                        relative += weights[c, k] * v[a, nodes[c, k] + 1]
                 depth[c] += h * relative * normal[c, a]
                 end_force[c, a] = (rubbing[c, a] - total * normal[c, a]) / h
                 mean_force[c, a] += end_force[c, a] / count
+
+    # tied displacements to the last digit, whatever has been rounded away on the way
+    for s in range(len(tied)):
+        for a in range(3):
+            moved = 0.0
+            for e in range(tie_start[s], tie_start[s + 1]):
+                moved += tie_weights[e] * (x[a, masters[e] + 1] - rest_nodes[masters[e], a])
+            x[a, tied[s] + 1] = rest_nodes[tied[s], a] + moved
+    square = 0.0
+    finite = True
+    for n in range(1, size + 1):
+        square = max(square, v[0, n] * v[0, n] + v[1, n] * v[1, n] + v[2, n] * v[2, n])
+        for a in range(3):
+            finite = finite and math.isfinite(x[a, n]) and math.isfinite(v[a, n])
+    finite = finite and square < math.inf
+    if not finite or fastest_stretch(segments, stiffness, initial_length, v) * h > MOST_STRETCH:
+        if plastic:
+            rest_length[:] = rest_before
+        return _TOO_FAST if finite else _LOST, 0.0
+    for n in range(size):
+        for a in range(3):
+            x0[n, a] = x[a, n + 1]
+            velocity0[n, a] = v[a, n + 1]
+    return _DONE, math.sqrt(square)
 
 
 @njit

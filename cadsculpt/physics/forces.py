@@ -117,13 +117,10 @@ def _nearest_active(lattice: Lattice, u: float, v: float) -> int:
 
 
 @njit
-def local_nodes(nodes: Index, size: int) -> tuple[Index, Index]:
-    """The distinct nodes that contacts (n, 4) touch, in order of appearance, and where each contact finds its four
-    there.
+def local_nodes(nodes: Index, place: Index, distinct: Index, local: Index) -> int:
+    """The number of distinct nodes that contacts (n, 4) touch, in order of appearance in distinct (>= 4 n,), and where each
+    contact finds its four there, local (>= n, 4). place (N,) : -1, and left so.
     """
-    place = np.full(size, -1, dtype=np.int64)
-    distinct = np.empty(nodes.size, dtype=np.int64)
-    local = np.empty_like(nodes)
     count = 0
     for c in range(len(nodes)):
         for k in range(4):
@@ -133,7 +130,9 @@ def local_nodes(nodes: Index, size: int) -> tuple[Index, Index]:
                 distinct[count] = node
                 count += 1
             local[c, k] = place[node]
-    return distinct[:count].copy(), local
+    for m in range(count):
+        place[distinct[m]] = -1
+    return count
 
 
 @njit

@@ -37,11 +37,15 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
 from .explicit import MOST_STRETCH, NO_LOAD, ContactLoad, LatticeState, StepForces
+from .impulses import contact_rows, touches
 from .lattice import Lattice
+from .rigid import body_modes, free_bodies, rigid_motion
 from .springs import fastest_stretch, spring_tangents
 from .tangent import Numbering, Tangent, one_blas_thread, solve
+from .ties import carried, condensed
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 RESIDUAL = 1e-6
 """Residual, over the forces at work (2-norms over the nodes), at which a step has converged: 1e-6 of a force is less than any
@@ -79,12 +83,13 @@ def advance_implicit(
     quasi_static: bool = False,
     substep: float | None = None,
     external: Array | None = None,
+    frame_velocity: Array | None = None,
 ) -> StepForces:
     """Integrate eq. 4 over dt seconds by backward Euler; `state` is changed in place.
 
     quasi_static : inertia and damping left out; a velocity is then the displacement over the time. substep : the longest
     allowed, None for dt. external (N, 3) : further nodal forces [N], constant. Held nodes keep the velocity they are
-    given, and contact planes move, as in `explicit.advance`.
+    given, contact planes move, and gamma damps against frame_velocity (N, 3), as in `explicit.advance`.
 
     Raises InputError for a time that is not positive and for a quasi-static lattice that nothing holds, SimulationError
     when it does not converge; the state is then as it was.
@@ -93,21 +98,25 @@ def advance_implicit(
         raise InputError(f"a step of {dt} s", mend="a step takes a positive time")
     if substep is not None and not substep > 0.0:
         raise InputError(f"a sub-step of {substep:g} s", mend="it must be a positive number")
-    if quasi_static and not (lattice.anchored & lattice.active).any():
+    if quasi_static and len(lattice.free):
         raise InputError("a quasi-static body that nothing holds", mend="anchor it, or leave quasi_static out")
     load = NO_LOAD if load is None else load
     if not (np.isfinite(state.x).all() and np.isfinite(state.velocity).all()):
         raise SimulationError("the lattice's positions are no longer finite", mend=_CALMER)
     count = 1 if substep is None else max(1, math.ceil(dt / substep * (1.0 - 1e-12)))
-    numbering = Numbering.of(lattice, load.nodes)
+    numbering = Numbering.of(lattice, _both_sides(lattice, load)[0], state.x)
     now = state.copy()
+    now.workspace = state.workspace
+    now.velocity = carried(now.velocity, lattice.ties)
     depth = np.array(load.depth, dtype=np.float64)
     mean_force = end_force = np.zeros((len(depth), 3))
     finest = 2**HALVINGS
     done, size, steps = 0, finest, 0  # in units of the finest sub-step
     while done < count * finest:
         h = dt / count * size / finest
-        problem = _Problem.at(lattice, now, load, depth, h, quasi_static=quasi_static, external=external)
+        problem = _Problem.at(
+            lattice, now, load, depth, h, quasi_static=quasi_static, external=external, frame_velocity=frame_velocity
+        )
         try:
             with one_blas_thread():
                 found = _newton(problem, numbering)
@@ -120,7 +129,9 @@ def advance_implicit(
                 ) from None
             size //= 2
             continue
-        now.velocity[problem.moves] = ((found.x - now.x) / h)[problem.moves]
+        moved = problem.moves.copy()
+        moved[lattice.ties.nodes] = True
+        now.velocity[moved] = ((found.x - now.x) / h)[moved]
         now.x, now.rest_length = found.x, found.rest_length
         depth, end_force = found.depth, found.contact_force
         mean_force = mean_force + (h / dt) * end_force
@@ -138,6 +149,32 @@ def advance_implicit(
 _CALMER = "reduce the step, the tool's speed or the depth it presses to"
 
 
+def _both_sides(lattice: Lattice, load: ContactLoad) -> tuple[Index, Array]:
+    """Nodes and weights (n, w) whose weighted mean velocity is that of the model against a deformable other side: the
+    others' count negative, masters stand in place of tied nodes.
+    """
+    other_nodes, other_weights = load.others()
+    ties = lattice.ties
+    if not len(other_nodes) and not touches(load.nodes, ties.row):
+        return load.nodes, load.weights
+    count, most = len(load.nodes), 8 * ties.most
+    start, node = np.zeros(count + 1, dtype=np.int64), np.zeros(most * count, dtype=np.int64)
+    weight = np.zeros(most * count)
+    contact_rows(
+        load.nodes, load.weights, other_nodes, other_weights, ties.row, ties.start, ties.masters, ties.weights,
+        start, node, weight,
+    )  # fmt: skip
+    lengths = np.diff(start)
+    nodes = np.repeat(load.nodes[:, :1], lengths.max(initial=1), axis=1)
+    if len(ties.nodes):
+        # what stands in a place that is not filled has no weight; it must not be tied
+        nodes[lengths > 0] = node[start[:-1][lengths > 0], None]
+    weights = np.zeros(nodes.shape)
+    filled = np.arange(nodes.shape[1]) < lengths[:, None]
+    nodes[filled], weights[filled] = node[: start[-1]], weight[: start[-1]]
+    return nodes, weights
+
+
 class _NoConvergenceError(Exception):
     """Newton's method gave up: the residual over the forces at work, after how many iterations."""
 
@@ -150,25 +187,31 @@ class _NoConvergenceError(Exception):
 class _Problem:
     """One sub-step of h seconds from `start`: what does not change while it is solved.
 
-    depth (n,) : at its start. inertia, drag (N,) : m / h and gamma (0 when quasi-static). carried (N, 3) : start.x, held
-    nodes where they end. moves (N,) : the free nodes. rounding : force [N] that is rounding. reach, slip :
-    FARTHEST and SLIP in L.
+    nodes, weights (n, w) : of `_both_sides`. depth (n,) : at its start. inertia, drag (N,) : m / h and gamma (0 when
+    quasi-static). first (N, 3) : where Newton's method begins: start.x, held nodes where they end, free bodies where they
+    fly to. moves (N,) : the free nodes. rounding : force [N] that is rounding. reach, slip : FARTHEST and SLIP in L.
+    frame (N, 3) : what drag acts against; less what it would do to free bodies as a whole, by modes and core (`Tangent`).
     """
 
     lattice: Lattice
     start: LatticeState
     load: ContactLoad
+    nodes: Index
+    weights: Array
     depth: Array
     h: float
     inertia: Array
     drag: Array
     damping: Array
     external: Array
-    carried: Array
+    first: Array
     moves: NDArray[np.bool_]
     rounding: float
     reach: float
     slip: float
+    frame: Array
+    modes: Array
+    core: Array
 
     @classmethod
     def at(
@@ -180,11 +223,26 @@ class _Problem:
         h: float,
         *,
         quasi_static: bool,
-        external: Array | None,
+        external: Array | None = None,
+        frame_velocity: Array | None = None,
     ) -> _Problem:
+        start.workspace.fit(lattice, 0)
         moves = lattice.inverse_mass > 0.0
-        carried = start.x + np.where((lattice.anchored & lattice.active)[:, None], h * start.velocity, 0.0)
+        going = np.where((lattice.anchored & lattice.active)[:, None], start.velocity, 0.0)
         none = np.zeros(len(start.x))
+        frame = np.zeros_like(start.x)
+        if frame_velocity is not None and not quasi_static:
+            frame[:] = frame_velocity
+        nodes, weights = _both_sides(lattice, load)
+        modes, core = np.zeros((0, *start.x.shape)), np.zeros((0, 0))
+        if not quasi_static and len(lattice.free):
+            modes, core = body_modes(lattice.free, lattice.gamma, start.x)
+            core /= h
+        for _, a, b in lattice.free:
+            frame[a:b] = 0.0
+        for body in free_bodies(lattice.free):
+            centre, velocity, spin = rigid_motion(lattice.mass[body], start.x[body], start.velocity[body])
+            going[body] = velocity + np.cross(spin, start.x[body] - centre)
         springs = lattice.stiffness > 0.0
         real = springs & (lattice.rest_length > 1e-6 * lattice.spacing)
         pull = lattice.stiffness * lattice.rest_length
@@ -192,17 +250,22 @@ class _Problem:
             lattice,
             start,
             load,
+            nodes,
+            weights,
             depth,
             h,
             none if quasi_static else lattice.mass / h,
             none if quasi_static else lattice.gamma,
             np.zeros(len(depth)) if quasi_static else load.damping,
             np.zeros_like(start.x) if external is None else np.asarray(external, dtype=np.float64),
-            carried,
+            start.x + h * carried(going, lattice.ties),
             moves,
             ROUNDING * float(np.linalg.norm(pull)),
             FARTHEST * float(lattice.rest_length[real].min(initial=math.inf)),
             SLIP * lattice.spacing,
+            frame,
+            modes,
+            core,
         )
 
 
@@ -246,11 +309,12 @@ def _newton(problem: _Problem, numbering: Numbering) -> _Balance:
     lattice = problem.lattice
     springs = lattice.stiffness.shape if lattice.plastic else (0, 0)
     duals = _Duals(np.full(springs, math.nan), np.zeros(springs), np.zeros_like(problem.load.normal))
-    now = _balance(problem, problem.carried, duals)
+    now = _balance(problem, problem.first, duals)
     correction = math.inf
     for iteration in range(ITERATIONS):
         if now.ratio == 0.0 or (now.ratio <= RESIDUAL and correction <= CORRECTION * lattice.spacing):
-            moved = now.x - problem.start.x
+            moved = np.zeros((3, len(now.x) + 2))
+            moved[:, 1:-1] = (now.x - problem.start.x).T
             if fastest_stretch(lattice.segments, lattice.stiffness, lattice.rest_length, moved) > MOST_STRETCH:
                 raise _NoConvergenceError(now.ratio, iteration)
             return now
@@ -279,7 +343,7 @@ def _newton(problem: _Problem, numbering: Numbering) -> _Balance:
 
 def _balance(problem: _Problem, x: Array, duals: _Duals, *, definite: bool = False) -> _Balance:
     """Forces, residual and tangent at x (N, 3)."""
-    lattice, start, load, h = problem.lattice, problem.start, problem.load, problem.h
+    lattice, start, h = problem.lattice, problem.start, problem.h
     count = len(x)
     padded, force = np.zeros((3, count + 2)), np.zeros((3, count + 2))
     padded[:, 1:-1] = x.T
@@ -302,28 +366,42 @@ def _balance(problem: _Problem, x: Array, duals: _Duals, *, definite: bool = Fal
         force,
         effort,
         blocks,
-        start.scratch[9:11],
+        start.workspace.scratch[9:11],
     )
     velocity = (x - start.x) / h
-    inertial = problem.inertia[:, None] * (velocity - start.velocity) + problem.drag[:, None] * velocity
+    inertial = problem.inertia[:, None] * (velocity - start.velocity)
+    inertial += problem.drag[:, None] * (velocity - problem.frame)
+    if len(problem.modes):
+        modes = problem.modes.reshape(len(problem.modes), -1)
+        inertial -= h * (modes.T @ (problem.core @ (modes @ velocity.ravel()))).reshape(-1, 3)
     residual = force[:, 1:-1].T + problem.external - inertial
     work = effort[1:-1] + np.linalg.norm(problem.external, axis=1) + np.linalg.norm(inertial, axis=1)
+    if len(lattice.ties.nodes):
+        residual, work = condensed(residual, lattice.ties), condensed(work, lattice.ties)
     depth, contact_force, stiffness = _contact(problem, x, duals.rubbing)
     if len(depth):
-        np.add.at(residual, load.nodes, load.weights[:, :, None] * contact_force[:, None, :])
-        np.add.at(work, load.nodes, load.weights * np.linalg.norm(contact_force, axis=1)[:, None])
+        np.add.at(residual, problem.nodes, problem.weights[:, :, None] * contact_force[:, None, :])
+        np.add.at(work, problem.nodes, np.abs(problem.weights) * np.linalg.norm(contact_force, axis=1)[:, None])
     residual[~problem.moves] = 0.0
     size = float(np.linalg.norm(residual))
     at_work = float(np.linalg.norm(work[problem.moves]))
     ratio = 0.0 if size <= problem.rounding else size / at_work
-    tangent = Tangent(blocks, problem.inertia / h + problem.drag / h, load.nodes, load.weights, stiffness)
+    tangent = Tangent(
+        blocks,
+        problem.inertia / h + problem.drag / h,
+        problem.nodes,
+        problem.weights,
+        stiffness,
+        problem.modes,
+        problem.core,
+    )
     return _Balance(x, rest, residual, ratio, depth, contact_force, tangent, duals)
 
 
 def _motion(problem: _Problem, x: Array) -> tuple[Array, Array]:
     """How far the contacts have sunk along their normals (n,), and slipped along their tools (n, 3), with nodes at x."""
     load = problem.load
-    moved = np.einsum("nk,nkc->nc", load.weights, (x - problem.start.x)[load.nodes]) - problem.h * load.velocity
+    moved = np.einsum("nk,nkc->nc", problem.weights, (x - problem.start.x)[problem.nodes]) - problem.h * load.velocity
     sunk = np.einsum("nc,nc->n", moved, load.normal)
     return sunk, moved - sunk[:, None] * load.normal
 

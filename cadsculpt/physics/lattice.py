@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from .cells import calibrate_cells
 from .fold import check_folds
 from .material import Material
 from .springs import SCRATCH_ROWS, highest_frequency
+from .ties import NO_TIES, TiedNodes
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -47,7 +48,9 @@ class Lattice:
     cell_active (cu, cv), cell_material (cu, cv, layers) : cells, index into the materials. thickness, spacing :
     thickness and edge of a cube of the mean cell's volume [L]. plastic : some spring can yield. right_handed : (u, v,
     inward) is. highest_frequency : an upper bound of the squared angular frequencies at rest [1/s^2]. segments (M, 4)
-    : direction, start, stop, shift: runs of springs (d, n), n in [start, stop), that end at n + shift.
+    : direction, start, stop, shift: runs of springs (d, n), n in [start, stop), that end at n + shift. ties : nodes that
+    follow others (assembly.py). free (b, 3) : what nothing holds, as runs of nodes: body, first node, last node + 1, the
+    runs of a body one behind the other. starts : first node of each lattice that this one is assembled from.
     """
 
     shape: tuple[int, int, int]
@@ -76,6 +79,9 @@ class Lattice:
     segments: Index
     highest_frequency: float
     metres_per_unit: float
+    ties: TiedNodes = NO_TIES
+    free: Index = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
+    starts: tuple[int, ...] = (0,)
 
 
 def build_lattice(
@@ -169,7 +175,10 @@ def build_lattice(
     free = active & ~held
     inverse_mass[free] = 1.0 / mass[free]
     scratch = np.empty((SCRATCH_ROWS, count + 2))
-    frequency = highest_frequency(segments, stiffness, rest_length, inverse_mass, nodes, scratch)
+    frequency = highest_frequency(
+        segments, stiffness, rest_length, inverse_mass, nodes, scratch,
+        NO_TIES.nodes, NO_TIES.start, NO_TIES.masters, NO_TIES.weights,
+    )  # fmt: skip
     return Lattice(
         shape=(nu, nv, nl),
         wrap=(bool(wrap[0]), bool(wrap[1])),
@@ -197,6 +206,7 @@ def build_lattice(
         segments=segments,
         highest_frequency=frequency,
         metres_per_unit=float(metres_per_unit),
+        free=np.array([] if (held & active).any() else [(0, 0, count)], dtype=np.int64).reshape(-1, 3),
     )
 
 

@@ -251,7 +251,16 @@ def _add_product(along: Array, xa: Array, xb: Array, ya: Array, yb: Array, total
 
 @njit
 def highest_frequency(
-    segments: Index, stiffness: Array, rest_length: Array, inverse_mass: Array, positions: Array, work: Array
+    segments: Index,
+    stiffness: Array,
+    rest_length: Array,
+    inverse_mass: Array,
+    positions: Array,
+    work: Array,
+    tied: Index,
+    start: Index,
+    masters: Index,
+    weights: Array,
 ) -> float:
     """An upper bound of the squared angular frequencies [1/s^2] of the lattice at positions (N, 3).
 
@@ -260,6 +269,10 @@ def highest_frequency(
     sqrt(m_a m_b)) (Gershgorin by blocks); in a regular lattice's inside the bound is reached. A held node counts as
     infinitely heavy. H = k (n n + max(0, 1 - L_p / L) (1 - n n)): the parts of a compressed spring that push sideways
     only lower the frequency. work (SCRATCH_ROWS, N + 2).
+
+    That bound is one of quadratic forms: u.K u <= sum_a u_a.D_a u_a, D_a = sum_s H (1 + sqrt(m_a / m_b)), for any positive
+    m. A tied node's u_a = sum_k w_k u_k has u_a.D_a u_a <= sum_k w_k u_k.D_a u_k (Jensen), so that D_a goes to its masters
+    by their weights, m_a being any number: that of the masters. tied, start, masters, weights : of `TiedNodes`.
 
     An eigenvalue of a symmetric 3 x 3 matrix is at most m + sqrt(2) s, m their mean and s their standard deviation.
     """
@@ -270,13 +283,19 @@ def highest_frequency(
         root[n + 1] = math.sqrt(inverse_mass[n])
         for axis in range(3):
             x[axis, n + 1] = positions[n, axis]
+    for s in range(len(tied)):
+        mass = 0.0
+        for e in range(start[s], start[s + 1]):
+            if inverse_mass[masters[e]] > 0.0:
+                mass += weights[e] / inverse_mass[masters[e]]
+        root[tied[s] + 1] = 1.0 / math.sqrt(mass) if mass > 0.0 else 0.0
     for row in range(len(segments)):
-        d, start, stop, shift = segments[row]
-        a, b = start + 1, stop + 1
+        d, first, stop, shift = segments[row]
+        a, b = first + 1, stop + 1
         c, e = a + shift, b + shift
-        length, side, along = work[9, : stop - start], work[10, : stop - start], work[11, : stop - start]
+        length, side, along = work[9, : stop - first], work[10, : stop - first], work[11, : stop - first]
         _lengths(x[0, a:b], x[0, c:e], x[1, a:b], x[1, c:e], x[2, a:b], x[2, c:e], length)
-        _tangent(stiffness[d, start:stop], rest_length[d, start:stop], length, side, along)
+        _tangent(stiffness[d, first:stop], rest_length[d, first:stop], length, side, along)
         _weigh(root[a:b], root[c:e], side)
         _weigh(root[a:b], root[c:e], along)
         for i in range(3):
@@ -284,6 +303,12 @@ def highest_frequency(
             for low, high in ((a, b), (c, e)):
                 _add_square(along, side, x[i, a:b], x[i, c:e], work[3 + i, low:high])
                 _add_product(along, x[i, a:b], x[i, c:e], x[j, a:b], x[j, c:e], work[6 + i, low:high])
+    for s in range(len(tied)):
+        if root[tied[s] + 1] > 0.0:
+            for e in range(start[s], start[s + 1]):
+                share = weights[e] * root[masters[e] + 1] / root[tied[s] + 1]
+                for i in range(3, 9):
+                    work[i, masters[e] + 1] += share * work[i, tied[s] + 1]
     worst = 0.0
     for n in range(size):
         if inverse_mass[n] > 0.0:
@@ -297,16 +322,29 @@ def highest_frequency(
 
 
 @njit
+def largest_drag(gamma: Array, inverse_mass: Array) -> float:
+    """The largest gamma / m [1/s] of any node."""
+    worst = 0.0
+    for n in range(len(gamma)):
+        worst = max(worst, gamma[n] * inverse_mass[n])
+    return worst
+
+
+@njit
 def fastest_stretch(segments: Index, stiffness: Array, initial_length: Array, velocity: Array) -> float:
-    """The largest |relative velocity of a spring's ends| / initial length [1/s]; velocity (N, 3). Infinite for a
-    NaN.
+    """The largest |relative velocity of a spring's ends| / initial length [1/s]; velocity (3, N + 2), padded. Infinite for
+    a NaN.
     """
     worst = 0.0
     for row in range(len(segments)):
         d, start, stop, shift = segments[row]
         for n in range(start, stop):
             if stiffness[d, n] > 0.0 and initial_length[d, n] > 0.0:
-                rate = _distance(velocity, n, n + shift) / initial_length[d, n]
+                a, b = n + 1, n + 1 + shift
+                square = 0.0
+                for axis in range(3):
+                    square += (velocity[axis, b] - velocity[axis, a]) ** 2
+                rate = math.sqrt(square) / initial_length[d, n]
                 if not rate <= worst:
                     worst = rate if rate > worst else math.inf
     return worst

@@ -10,8 +10,9 @@ contacts press and metal flows.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from ..jit import njit
 from .lattice import Lattice
+from .ties import carried, condensed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -51,43 +53,96 @@ class Numbering:
         return 3.0 * self.count * (3.0 * self.width + 3.0) ** 2 <= LARGEST_BAND
 
     @classmethod
-    def of(cls, lattice: Lattice, nodes: Index) -> Numbering:
-        """The order of the free nodes with the narrower band: rows across u or rows across v. nodes (c, 4) : of contacts.
+    def of(cls, lattice: Lattice, nodes: Index, x: Array | None = None) -> Numbering:
+        """The order of the free nodes with the narrowest band. nodes (c, w) : of contacts. x (N, 3) : where the nodes are.
 
-        Rows around a closed direction are taken from both ends in turn, so that the last stands near the first.
+        A lattice's own grid gives rows across u or rows across v; rows around a closed direction are taken from both ends
+        in turn, so that the last stands near the first. An assembly is cut into what hangs together by ties and contacts,
+        and each piece swept along one of its axes.
         """
-        free = (lattice.inverse_mass > 0.0).reshape(lattice.shape)
-        best = None
-        for axis in (0, 1):
-            rows = np.arange(lattice.shape[axis])
-            if lattice.wrap[axis]:
-                rows = np.stack([rows, rows[::-1]], axis=1).ravel()[: len(rows)]
-            inside = np.take(free, rows, axis=axis)
-            index = np.take(np.arange(free.size).reshape(free.shape), rows, axis=axis)
-            order = np.swapaxes(index, 0, axis).ravel()[np.swapaxes(inside, 0, axis).ravel()]
-            place = np.full(free.size, -1, dtype=np.int64)
-            place[order] = np.arange(len(order))
-            width = _width(lattice.segments, lattice.stiffness, place, nodes)
-            if best is None or width < best.width:
-                best = cls(place, len(order), width)
-        assert best is not None
-        return best
+        orders = _grid_orders(lattice) if len(lattice.u) else _swept_orders(lattice, nodes, x)
+        return min((cls._ordered(lattice, nodes, order) for order in orders), key=lambda numbering: numbering.width)
+
+    @classmethod
+    def _ordered(cls, lattice: Lattice, nodes: Index, order: Index) -> Numbering:
+        place = np.full(len(lattice.nodes), -1, dtype=np.int64)
+        place[order] = np.arange(len(order))
+        low, high = place, place
+        ties = lattice.ties
+        if len(ties.nodes):
+            low, high = place.copy(), place.copy()
+            of_masters = place[ties.masters]
+            high[ties.nodes] = np.maximum.reduceat(of_masters, ties.start[:-1])
+            # held masters have no place
+            of_masters[of_masters < 0] = len(order)
+            low[ties.nodes] = np.minimum.reduceat(of_masters, ties.start[:-1])
+            low[high < 0] = -1
+        return cls(place, len(order), _width(lattice.segments, lattice.stiffness, low, high, nodes))
+
+
+def _grid_orders(lattice: Lattice) -> list[Index]:
+    """The free nodes of one lattice, rows across u and rows across v."""
+    free = (lattice.inverse_mass > 0.0).reshape(lattice.shape)
+    orders = []
+    for axis in (0, 1):
+        rows = np.arange(lattice.shape[axis])
+        if lattice.wrap[axis]:
+            rows = np.stack([rows, rows[::-1]], axis=1).ravel()[: len(rows)]
+        inside = np.take(free, rows, axis=axis)
+        index = np.take(np.arange(free.size).reshape(free.shape), rows, axis=axis)
+        orders.append(np.swapaxes(index, 0, axis).ravel()[np.swapaxes(inside, 0, axis).ravel()])
+    return orders
+
+
+def _swept_orders(lattice: Lattice, nodes: Index, x: Array | None) -> list[Index]:
+    """The free nodes of an assembly, piece by piece, swept along the axes of the frame and along each piece's own."""
+    x = lattice.nodes if x is None else x
+    part = np.repeat(np.arange(len(lattice.starts)), np.diff([*lattice.starts, len(x)]))
+    piece = _pieces(len(lattice.starts), part, lattice, nodes)[part]
+    free = np.flatnonzero(lattice.inverse_mass > 0.0)
+    along = [x]
+    turned = np.empty_like(x)
+    for k in np.unique(piece):
+        mine = piece == k
+        centred = x[mine] - x[mine].mean(axis=0)
+        turned[mine] = centred @ np.linalg.eigh(centred.T @ centred)[1]
+    along.append(turned)
+    return [free[np.lexsort((free, t[free, axis], piece[free]))] for t in along for axis in range(3)]
+
+
+def _pieces(count: int, part: Index, lattice: Lattice, nodes: Index) -> Index:
+    """Which piece each of `count` parts belongs to; part (N,) : the part of each node."""
+    pairs = [(part[nodes[:, :1]], part[nodes])]
+    ties = lattice.ties
+    if len(ties.nodes):
+        pairs.append((part[np.repeat(ties.nodes, np.diff(ties.start))][:, None], part[ties.masters][:, None]))
+    piece = np.arange(count)
+    met = np.unique(
+        np.concatenate([np.stack(np.broadcast_arrays(a, b), axis=-1).reshape(-1, 2) for a, b in pairs]), axis=0
+    )
+    for a, b in met:
+        if piece[a] != piece[b]:
+            piece[piece == piece[b]] = piece[a]
+    return piece
 
 
 @njit
-def _width(segments: Index, stiffness: Array, place: Index, nodes: Index) -> int:
+def _width(segments: Index, stiffness: Array, low: Index, high: Index, nodes: Index) -> int:
+    """low, high (N,) : places of a node; the first and last of its masters' where it is tied; -1 where it is held."""
     width = 0
     for row in range(len(segments)):
         d, start, stop, shift = segments[row]
         for n in range(start, stop):
-            if stiffness[d, n] > 0.0 and place[n] >= 0 and place[n + shift] >= 0:
-                width = max(width, abs(place[n] - place[n + shift]))
+            if stiffness[d, n] > 0.0 and low[n] >= 0 and low[n + shift] >= 0:
+                width = max(width, max(high[n], high[n + shift]) - min(low[n], low[n + shift]))
     for c in range(len(nodes)):
-        for k in range(4):
-            for m in range(k):
-                p, q = place[nodes[c, k]], place[nodes[c, m]]
-                if p >= 0 and q >= 0:
-                    width = max(width, abs(p - q))
+        first, last = -1, -1
+        for k in range(nodes.shape[1]):
+            p = low[nodes[c, k]]
+            if p >= 0:
+                first = p if first < 0 else min(first, p)
+                last = max(last, p)
+        width = max(width, last - first)
     return width
 
 
@@ -95,8 +150,9 @@ def _width(segments: Index, stiffness: Array, place: Index, nodes: Index) -> int
 class Tangent:
     """K by its parts.
 
-    blocks (13, N, 6) : of `spring_tangents`. diagonal (N,) : inertia and drag [N/L]. nodes, weights (c, 4) and contact
-    (c, 3, 3) [N/L] : w_k w_l contact between nodes k and l.
+    blocks (13, N, 6) : of `spring_tangents`. diagonal (N,) : inertia and drag [N/L]. nodes, weights (c, w) and contact
+    (c, 3, 3) [N/L] : w_k w_l contact between nodes k and l, none of them tied. modes (r, N, 3), core (r, r) : modes^T core
+    modes is taken away, the drag that bodies do not feel as a whole (rigid.py).
     """
 
     blocks: Array
@@ -104,6 +160,8 @@ class Tangent:
     nodes: Index
     weights: Array
     contact: Array
+    modes: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    core: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @cache
@@ -121,18 +179,26 @@ def one_blas_thread() -> AbstractContextManager[Any]:
 
 
 def solve(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: Array) -> Array | None:
-    """d (N, 3) with K d = right (N, 3) at the free nodes, 0 elsewhere; None where K is not positive definite."""
-    return (_solve_band if numbering.banded else _solve_cg)(lattice, numbering, tangent, right)
+    """d (N, 3) with K d = right (N, 3) at the free nodes, what follows from it at tied ones, 0 elsewhere; None where K is not
+    positive definite. `right` is 0 at tied nodes: what acts there acts on their masters.
+    """
+    d = (_solve_band if numbering.banded else _solve_cg)(lattice, numbering, tangent, right)
+    return None if d is None else carried(d, lattice.ties)
 
 
 def _solve_band(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: Array) -> Array | None:
     from scipy.linalg.lapack import dpbtrf, dpbtrs
 
     band = np.zeros((3 * numbering.count, 3 * numbering.width + 3))
+    ties = lattice.ties
     _fill_band(
         lattice.segments,
         lattice.stiffness,
         numbering.place,
+        ties.row,
+        ties.start,
+        ties.masters,
+        ties.weights,
         tangent.blocks,
         tangent.diagonal,
         tangent.nodes,
@@ -144,13 +210,22 @@ def _solve_band(lattice: Lattice, numbering: Numbering, tangent: Tangent, right:
     if info != 0:
         return None
     free = numbering.place >= 0
-    ordered = np.empty((numbering.count, 3))
-    ordered[numbering.place[free]] = right[free]
-    solution, info = dpbtrs(factor, ordered.reshape(-1), lower=1)
+    rank = len(tangent.modes)
+    ordered = np.empty((1 + rank, numbering.count, 3))
+    ordered[0, numbering.place[free]] = right[free]
+    if rank:
+        ordered[1:, numbering.place[free]] = tangent.modes[:, free]
+    solution, info = dpbtrs(factor, ordered.reshape(1 + rank, -1).T, lower=1)
     if info != 0 or not np.isfinite(solution).all():
         return None
+    y = solution[:, 0]
+    if rank:
+        # (A - B C B^T)^-1 r = y + Z (1 - C B^T Z)^-1 C B^T y, y = A^-1 r, Z = A^-1 B (Woodbury)
+        modes, spread = ordered[1:].reshape(rank, -1), solution[:, 1:]
+        small = np.eye(rank) - tangent.core @ (modes @ spread)
+        y = y + spread @ np.linalg.solve(small, tangent.core @ (modes @ y))
     d = np.zeros_like(right)
-    d[free] = solution.reshape(-1, 3)[numbering.place[free]]
+    d[free] = y.reshape(-1, 3)[numbering.place[free]]
     return d
 
 
@@ -167,6 +242,10 @@ def _fill_band(
     segments: Index,
     stiffness: Array,
     place: Index,
+    row_of: Index,
+    tie_start: Index,
+    masters: Index,
+    tie_weights: Array,
     blocks: Array,
     diagonal: Array,
     nodes: Index,
@@ -174,8 +253,15 @@ def _fill_band(
     contact: Array,
     band: Array,
 ) -> None:
-    """K in LAPACK's lower band storage, transposed: band[j, i - j] = K_ij."""
+    """K in LAPACK's lower band storage, transposed: band[j, i - j] = K_ij.
+
+    A spring at a tied node couples all its masters: u_a - u_b is a sum over them.
+    """
     h = np.empty((3, 3))
+    most = 1
+    for s in range(len(tie_start) - 1):
+        most = max(most, tie_start[s + 1] - tie_start[s])
+    among, share = np.empty(2 * most, dtype=np.int64), np.empty(2 * most)
     for n in range(len(place)):
         if place[n] >= 0:
             for c in range(3):
@@ -191,6 +277,21 @@ def _fill_band(
             h[0, 1] = h[1, 0] = xy
             h[1, 2] = h[2, 1] = yz
             h[0, 2] = h[2, 0] = zx
+            if len(row_of) and (row_of[n] >= 0 or row_of[n + shift] >= 0):
+                count = 0
+                for node, sign in ((n, 1.0), (n + shift, -1.0)):
+                    s = row_of[node]
+                    for e in range(tie_start[s] if s >= 0 else 0, tie_start[s + 1] if s >= 0 else 1):
+                        among[count] = place[masters[e]] if s >= 0 else place[node]
+                        share[count] = sign * tie_weights[e] if s >= 0 else sign
+                        count += 1
+                for k in range(count):
+                    for m in range(count):
+                        if among[k] >= among[m] >= 0 and (among[k] > among[m] or k >= m):
+                            # two shares of one place stand on both sides of the diagonal
+                            twice = 2.0 if among[k] == among[m] and k > m else 1.0
+                            _add_block(band, among[k], among[m], h, twice * share[k] * share[m])
+                continue
             if p >= 0:
                 _add_block(band, p, p, h, 1.0)
             if q >= 0:
@@ -198,8 +299,8 @@ def _fill_band(
             if p >= 0 and q >= 0:
                 _add_block(band, max(p, q), min(p, q), h, -1.0)
     for c in range(len(nodes)):
-        for k in range(4):
-            for m in range(4):
+        for k in range(nodes.shape[1]):
+            for m in range(nodes.shape[1]):
                 p, q = place[nodes[c, k]], place[nodes[c, m]]
                 w = weights[c, k] * weights[c, m]
                 if w != 0.0 and p >= q >= 0:
@@ -209,25 +310,29 @@ def _fill_band(
 def _solve_cg(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: Array) -> Array | None:
     """Conjugate gradients; None as soon as a direction of negative curvature shows."""
     free = numbering.place >= 0
-    nodes, layers = len(free), lattice.shape[2]
-    inverse = _column_inverses(lattice, tangent, free)
+    precondition = _column_inverses(lattice, tangent, free)
     r = np.where(free[:, None], right, 0.0)
     target = CG_TOLERANCE * np.linalg.norm(r)
     acting = tangent.contact.any(axis=(1, 2))
     touched, weights, contact = tangent.nodes[acting], tangent.weights[acting], tangent.contact[acting]
+    rank = len(tangent.modes)
+    modes = tangent.modes.reshape(rank, right.size if rank else 0)
     d = np.zeros_like(r)
     direction, along = np.zeros_like(r), 0.0
     for _ in range(CG_ITERATIONS):
         if np.linalg.norm(r) <= target:
             return d
-        z = np.matmul(inverse, r.reshape(-1, 3 * layers, 1)).reshape(nodes, 3)
+        z = precondition(r)
         before, along = along, float(np.vdot(r, z))
         direction = z if before == 0.0 else z + along / before * direction
         product = tangent.diagonal[:, None] * direction
-        _multiply(lattice.segments, lattice.stiffness, tangent.blocks, direction, product)
+        _multiply(lattice.segments, lattice.stiffness, tangent.blocks, carried(direction, lattice.ties), product)
+        product = condensed(product, lattice.ties) if len(lattice.ties.nodes) else product
         moved = np.einsum("ck,cka->ca", weights, direction[touched])
         pushed = np.einsum("cab,cb->ca", contact, moved)
         np.add.at(product, touched, weights[:, :, None] * pushed[:, None, :])
+        if rank:
+            product -= (modes.T @ (tangent.core @ (modes @ direction.ravel()))).reshape(-1, 3)
         product[~free] = 0.0
         curvature = float(np.vdot(direction, product))
         if not (along > 0.0 and curvature > 0.0):
@@ -238,26 +343,48 @@ def _solve_cg(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: A
     return None
 
 
-def _column_inverses(lattice: Lattice, tangent: Tangent, free: NDArray[np.bool_]) -> Array:
-    """The inverses (columns, 3 layers, 3 layers) of K within every column of nodes; nodes that are held have a unit block."""
-    nl = lattice.shape[2]
-    diagonal = np.zeros((len(free), 3, 3))
+def _column_inverses(lattice: Lattice, tangent: Tangent, free: NDArray[np.bool_]) -> Callable[[Array], Array]:
+    """The inverses of K within every column of nodes through the thickness, as a function of r (N, 3); nodes that are held
+    have a unit block.
+
+    A column is a run of nodes that springs of direction 2 join; those of one length are inverted together.
+    """
+    count = len(free)
+    diagonal = np.zeros((count, 3, 3))
     diagonal[:, [0, 1, 2], [0, 1, 2]] = tangent.diagonal[:, None]
     _add_diagonals(lattice.segments, lattice.stiffness, tangent.blocks, diagonal)
     square = tangent.weights[:, :, None, None] ** 2 * tangent.contact[:, None]
     np.add.at(diagonal, tangent.nodes, square)
-    columns = np.zeros((len(free) // nl, nl, 3, nl, 3))
-    down = tangent.blocks[2][:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, nl, 3, 3)
-    exists = (lattice.stiffness[2] > 0.0).reshape(-1, nl) & free.reshape(-1, nl)
-    exists[:, :-1] &= free.reshape(-1, nl)[:, 1:]
-    of_column = np.where(free[:, None, None], diagonal, np.eye(3)).reshape(-1, nl, 3, 3)
-    for k in range(nl):
-        columns[:, k, :, k] = of_column[:, k]
-        if k + 1 < nl:
-            block = np.where(exists[:, k, None, None], down[:, k], 0.0)
-            columns[:, k, :, k + 1] = -block
-            columns[:, k + 1, :, k] = -block
-    return np.asarray(np.linalg.inv(columns.reshape(-1, 3 * nl, 3 * nl)), dtype=np.float64)
+    ties = lattice.ties
+    if len(ties.nodes):
+        of_tied = diagonal[np.repeat(ties.nodes, np.diff(ties.start))]
+        np.add.at(diagonal, ties.masters, ties.weights[:, None, None] ** 2 * of_tied)
+    down = tangent.blocks[2][:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
+    linked = lattice.stiffness[2] > 0.0
+    linked[-1:] = False
+    ends = np.flatnonzero(~linked) + 1
+    starts = np.concatenate([[0], ends[:-1]])
+    exists = linked & free & np.roll(free, -1)
+    of_column = np.where(free[:, None, None], diagonal, np.eye(3))
+    groups = []
+    for nl in np.unique(ends - starts):
+        nodes = starts[ends - starts == nl][:, None] + np.arange(nl)
+        columns = np.zeros((len(nodes), nl, 3, nl, 3))
+        for k in range(nl):
+            columns[:, k, :, k] = of_column[nodes[:, k]]
+            if k + 1 < nl:
+                block = np.where(exists[nodes[:, k], None, None], down[nodes[:, k]], 0.0)
+                columns[:, k, :, k + 1] = -block
+                columns[:, k + 1, :, k] = -block
+        groups.append((nodes, np.linalg.inv(columns.reshape(-1, 3 * nl, 3 * nl))))
+
+    def precondition(r: Array) -> Array:
+        z = np.empty_like(r)
+        for nodes, inverse in groups:
+            z[nodes] = np.matmul(inverse, r[nodes].reshape(len(nodes), -1, 1)).reshape(*nodes.shape, 3)
+        return z
+
+    return precondition
 
 
 @njit

@@ -15,6 +15,7 @@ from cadsculpt.physics.explicit import ContactLoad
 from cadsculpt.physics.lattice import Lattice, build_lattice, spring_segments
 from cadsculpt.physics.material import Material
 from cadsculpt.physics.springs import SCRATCH_ROWS, highest_frequency
+from cadsculpt.physics.ties import NO_TIES
 
 Array = NDArray[np.float64]
 MM = 1e-3
@@ -85,7 +86,10 @@ def chain() -> Callable[..., Lattice]:
         inverse_mass = np.where(anchored, 0.0, 1.0 / mass)
         segments = spring_segments((n, 1, 1), (False, False))
         scratch = np.empty((SCRATCH_ROWS, n + 2))
-        frequency = highest_frequency(segments, springs, lengths, inverse_mass, nodes, scratch)
+        frequency = highest_frequency(
+            segments, springs, lengths, inverse_mass, nodes, scratch,
+            NO_TIES.nodes, NO_TIES.start, NO_TIES.masters, NO_TIES.weights,
+        )  # fmt: skip
         return Lattice(
             shape=(n, 1, 1),
             wrap=(False, False),
@@ -113,6 +117,7 @@ def chain() -> Callable[..., Lattice]:
             segments=segments,
             highest_frequency=frequency,
             metres_per_unit=MM,
+            free=np.array([] if held else [(0, 0, n)], dtype=np.int64).reshape(-1, 3),
         )
 
     return make
