@@ -245,6 +245,8 @@ def _size_faults(shape: str, given: Mapping[str, Any]) -> Iterator[Fault]:
         for key in DEFORMABLE_KEYS:
             if given.get(key) is not None:
                 yield Fault((key,), f"{key} belongs to a deformable tool (give it a material)")
+    if given.get("hold") == "none":
+        yield Fault(("hold",), 'hold "none" leaves the tool without a hold (use base, edges, or a list of faces)')
     yield from _rounding_faults(shape, given)
     major, minor = given.get("major_radius"), given.get("minor_radius")
     if shape == "torus" and is_number(major) and is_number(minor) and 0 < major <= minor:
