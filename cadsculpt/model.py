@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from .collide.detect import DetectOptions
 from .collide.mesh.triangle_mesh import TriangleMesh
 from .errors import InputError
+from .force_control import Push
 from .motion.path import ToolPath
 from .patch import Patch, SourceFace, build_patch, mean_lengths
-from .scene import ModelSpec, Scene
+from .scene import ModelSpec, Scene, ToolSpec
 from .spline.surface import BSplineSurface
 from .tools.make import Tool, make_tool
 from .units import metres_per_unit
@@ -57,7 +58,7 @@ class Model:
     step : length of one step of a run, s. steps : how many make a whole run. refit_threshold : nodes that moved less count
     as not moved, L. size : diagonal of the sculpted faces' box, L. ball : a centre and a
     radius, L, that hold these faces however they are sculpted. stride : how far a tool may move while the contacts
-    are those that were seen at the start, L.
+    are those that were seen at the start, L. pushes : the tools under force control, by their place in `tools`.
     """
 
     scene: Scene
@@ -72,6 +73,7 @@ class Model:
     size: float
     ball: tuple[Array, float]
     stride: float
+    pushes: Mapping[int, Push]
 
     def step_length(self, step: int) -> float:
         """Length of step number `step` (from 0) in s; the last one ends where the longest path ends."""
@@ -133,7 +135,15 @@ def build_model(
         size=float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))),
         ball=(0.5 * (points.max(axis=0) + points.min(axis=0)), float(np.linalg.norm(np.ptp(points, axis=0)))),
         stride=STRIDE * _smallest([spec.thickness for spec in scene.model], tools),
+        pushes={i: _push(spec, paths[spec.name]) for i, spec in enumerate(scene.tool) if spec.control == "force"},
     )
+
+
+def _push(spec: ToolSpec, path: ToolPath) -> Push:
+    try:
+        return Push.of(spec.force or 0.0, spec.direction, path)
+    except InputError as error:
+        raise InputError(error.what, where=f"tool {spec.name!r}", mend=error.mend) from None
 
 
 def _smallest(thicknesses: Sequence[float], tools: Sequence[ToolBody]) -> float:

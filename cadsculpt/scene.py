@@ -290,6 +290,13 @@ class Scene(Spec):
         for place, material in _materials_named(given):
             if isinstance(material, str) and material not in materials:
                 yield Fault(place, f"material {shown(material)} is not known {mend(material, materials)}")
+        if any(read(tool, "control") == "force" for tool in entries(given, "tool")):
+            for i, model in enumerate(entries(given, "model")):
+                if read(model, "anchor") == "none":
+                    yield Fault(
+                        ("model", i, "anchor"),
+                        'nothing holds it against the tools under control = "force" (use "base")',
+                    )
         for i, expect in enumerate(entries(given, "expect")):
             pair = read(expect, "pair")
             if not isinstance(pair, (list, tuple)) or len(pair) != 2 or not {"model", "tool"} <= set(given):

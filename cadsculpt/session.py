@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .collide.contacts import Contacts
 from .collide.detect import Counters, DetectCache, Detection, DetectOptions, Undecided, detect
 from .errors import InputError, SimulationError
+from .force_control import PushMemory, find_poses
 from .lookahead import Lookahead
 from .model import Model
 from .motion.motion import Motion
@@ -41,7 +42,7 @@ _LATTICE_STATE = ("x", "velocity", "rest_length")
 class State:
     """Everything that changes: time [s], tool poses, and per patch the lattice and the control points.
 
-    touched (bodies, tools) : when each pair touched first [s]; NaN where it has not.
+    touched (bodies, tools) : when each pair touched first [s]; NaN where it has not. pushes : of tools under force control.
     """
 
     time: float
@@ -50,6 +51,17 @@ class State:
     lattices: list[LatticeState]
     control_points: list[Array]
     touched: Array
+    pushes: PushMemory
+
+    def copy(self) -> State:
+        """A state of its own with the same values. (Control points are not written to, only replaced.)"""
+        return replace(
+            self,
+            poses=list(self.poses),
+            lattices=[lattice.copy() for lattice in self.lattices],
+            control_points=list(self.control_points),
+            touched=self.touched.copy(),
+        )
 
 
 class Buildable(Protocol):
@@ -92,6 +104,7 @@ class Session:
             lattices=[LatticeState.at_rest(patch.lattice) for patch in model.patches],
             control_points=[patch.surface.control_points.copy() for patch in model.patches],
             touched=np.full((len(model.bodies), len(model.tools)), np.nan),
+            pushes=PushMemory.of(len(model.tools)),
         )
         self.lookahead = Lookahead(model)
         self._caches = [DetectCache() for _ in model.bodies]
@@ -121,7 +134,11 @@ class Session:
                 else tool.path.pose(time)
                 for i, tool in enumerate(model.tools)
             ]  # fmt: skip
-            self._follow(after, time, acts)
+            if model.pushes:
+                acts = self._push(after, time, acts)
+            else:
+                self._follow(after, time, acts)
+        state = self.state
         state.time, state.step = start + dt, state.step + 1
         for phase, seconds in acts.seconds.items():
             self.timing[phase].append(seconds)
@@ -143,6 +160,25 @@ class Session:
             there = [given.get(tool.name, tool.path.pose(time)) for tool in self.model.tools]
             travel, here = travel + self._margin(here, there), there
         return stops if travel > self.model.stride else [end]
+
+    def _push(self, targets: list[Pose], end: float, acts: StepActs) -> StepActs:
+        """Move the tools towards `targets`, those under force control as far as their force takes them. Returns `acts` with
+        what acted meanwhile."""
+        start, undecided, share = self.state, dict(self.undecided), acts.dt / (end - self.state.time)
+        done = acts
+
+        def trial(poses: list[Pose]) -> Array:
+            nonlocal done
+            self.state, self.undecided, done = start.copy(), dict(undecided), acts.copy()
+            self._follow(poses, end, done)
+            return (done.force - acts.force) * share
+
+        try:
+            find_poses(self.model.pushes, start.pushes, start.poses, targets, end - start.time, trial)
+        except SimulationError:
+            self.state = start
+            raise
+        return done
 
     def _follow(self, after: list[Pose], end: float, acts: StepActs) -> None:
         """Move the tools to `after`, in one piece where that is no farther than `Model.stride`.
@@ -288,6 +324,7 @@ class Session:
             "undecided": np.array([(*pair, depth) for pair, depth in sorted(self.undecided.items())]).reshape(-1, 3),
             "pose_at": np.array([pose.at for pose in state.poses]),
             "pose_rotation": np.array([pose.rotation for pose in state.poses]),
+            **state.pushes.arrays(),
         }
         for i, (lattice, net) in enumerate(zip(state.lattices, state.control_points, strict=True)):
             arrays[f"net_{i}"] = net
@@ -311,6 +348,7 @@ class Session:
                 ],
                 control_points=[np.array(arrays[f"net_{i}"]) for i in range(len(self.model.patches))],
                 touched=np.array(arrays["touched"]),
+                pushes=PushMemory.of_arrays(arrays),
             )
         except KeyError as error:
             raise InputError(f"the checkpoint lacks {error}", mend="start the run again with --force") from None

@@ -45,8 +45,6 @@ def make_tool(
         raise InputError(
             "a deformable tool cannot be run yet", where=where, mend="leave its material out: it is rigid then"
         )
-    if spec.control != "position":
-        raise InputError(f"control = {spec.control!r} cannot be run yet", where=where, mend='use control = "position"')
     try:
         match spec.shape:
             case "point":
