@@ -158,6 +158,12 @@ class SolverSpec(Spec):
         step, substep = given.get("step"), given.get("substep")
         if is_number(step) and is_number(substep) and substep > step > 0:
             yield Fault(("substep",), f"substep must be at most step {shown(step)}, not {shown(substep)}")
+        tolerance, left = given.get("tolerance"), given.get("max_penetration")
+        if is_number(tolerance) and is_number(left) and 0 < left < tolerance:
+            yield Fault(
+                ("max_penetration",),
+                f"max_penetration {shown(left)} cannot be seen with tolerance {shown(tolerance)} (make tolerance smaller)",
+            )
         if given.get("quasi_static") is True and given.get("integrator") != "implicit":
             yield Fault(("quasi_static",), 'quasi_static needs integrator = "implicit"')
 

@@ -15,10 +15,10 @@ from cadsculpt.spline.surface import BSplineSurface
 SIZE, BALL = 48.0, 6.0
 """Sides of the sheet and radius of the ball, mm."""
 
-OUTER, INNER, DEPTH, TURNS = 11.0, 7.0, 2.0, 1.5
+OUTER, INNER, DEPTH, TURNS = 11.0, 7.0, 2.0, 1.25
 """The spiral goes inwards from radius OUTER to INNER and down to DEPTH, mm, in so many turns."""
 
-FEED, ROWS = 40.0, 73
+FEED, ROWS = 40.0, 61
 """mm/s along the spiral, and its rows."""
 
 
