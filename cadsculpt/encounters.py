@@ -51,7 +51,7 @@ class Pairs:
         return len(self.a)
 
     @classmethod
-    def of(cls, parties: Sequence[Party]) -> Pairs:
+    def between(cls, parties: Sequence[Party]) -> Pairs:
         """All pairs of which one is deformable, and every model with every tool."""
         rows = []
         for i, first in enumerate(parties):
@@ -77,6 +77,10 @@ class Pairs:
         """The places of the pairs of contacts (n,) between bodies a and b (n,)."""
         width = int(max(self.a.max(initial=0), self.b.max(initial=0))) + 1
         return np.searchsorted(self.a * width + self.b, a * width + b).astype(np.int64)
+
+    def of(self, body: int) -> Index:
+        """The places of all pairs with a body."""
+        return np.flatnonzero((self.a == body) | (self.b == body)).astype(np.int64)
 
     def others(self, body: int) -> list[int]:
         """The bodies that contacts on `body` are looked for with."""

@@ -82,10 +82,10 @@ class History:
         times = self.touched if pair is None else self.touched[[pair]]
         return None if np.isnan(times).all() else float(np.nanmin(times))
 
-    def greatest(self, what: str, pair: int | None = None) -> float:
-        """Largest value over the run of depth, penetration, force or area."""
+    def greatest(self, what: str, pair: int | Index | None = None) -> float:
+        """Largest value over the run of depth, penetration, force or area, of a pair, of several, or (None) of all."""
         values: Array = getattr(self, what)
-        return float((values if pair is None else values[:, [pair]]).max(initial=0.0))
+        return float((values if pair is None else values[:, np.atleast_1d(pair)]).max(initial=0.0))
 
     def smallest_clearance(self, pair: int | None = None) -> float:
         """Smallest distance over the run; 0 where the pair touched."""

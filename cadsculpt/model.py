@@ -16,11 +16,12 @@ from .collide.detect import DetectOptions
 from .collide.mesh.triangle_mesh import TriangleMesh
 from .encounters import Pairs, Party
 from .errors import InputError
+from .force_control import Push
 from .groups import Group, group_patches
 from .motion.boxes import EVERYWHERE, grown, seen_boxes, swept_boxes
 from .motion.path import ToolPath
 from .patch import Patch, RigidFace, SourceFace, build_patch, build_rigid_face, held_edges, mean_lengths
-from .scene import Scene
+from .scene import Scene, ToolSpec
 from .spline.surface import BSplineSurface
 from .substance import Substance
 from .tools.make import Tool, make_tool
@@ -72,7 +73,7 @@ class Model:
     step : length of one step of a run, s. steps : how many make a whole run. refit_threshold : nodes that moved less count
     as not moved, L. size : diagonal of the models' box, L. ball : a centre and a
     radius, L, that hold the models however they are sculpted. stride : how far a tool may move while the contacts
-    are those that were seen at the start, L.
+    are those that were seen at the start, L. pushes : the tools under force control, by their place in `tools`.
     """
 
     scene: Scene
@@ -93,6 +94,7 @@ class Model:
     size: float
     ball: tuple[Array, float]
     stride: float
+    pushes: Mapping[int, Push]
 
     def step_length(self, step: int) -> float:
         """Length of step number `step` (from 0) in s; the last one ends where the longest path ends."""
@@ -152,7 +154,7 @@ def build_model(
         making.reached(box[None]) if making.path is None else making.reached(swept_boxes(box, making.path))
         for making, box in zip(makings, corners, strict=True)
     ]
-    pairs = Pairs.of(
+    pairs = Pairs.between(
         [
             Party(making.name, k < models, making.substance is not None, making.solids, reached)
             for k, (making, reached) in enumerate(zip(makings, boxes, strict=True))
@@ -221,6 +223,7 @@ def build_model(
         size=float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))),
         ball=(0.5 * (points.max(axis=0) + points.min(axis=0)), float(np.linalg.norm(np.ptp(points, axis=0)))),
         stride=STRIDE * _smallest([m.substance.thickness for m in makings if m.substance is not None], tools),
+        pushes={i: _push(spec, paths[spec.name]) for i, spec in enumerate(scene.tool) if spec.control == "force"},
     )
 
 
@@ -311,6 +314,13 @@ def _makings(
 
 def _spacings(substance: Substance | None, faces: Sequence[SourceFace]) -> tuple[tuple[float, float], ...]:
     return () if substance is None else tuple(_spacing(substance, face) for face in faces)
+
+
+def _push(spec: ToolSpec, path: ToolPath) -> Push:
+    try:
+        return Push.of(spec.force or 0.0, spec.direction, path)
+    except InputError as error:
+        raise InputError(error.what, where=f"tool {spec.name!r}", mend=error.mend) from None
 
 
 def _smallest(thicknesses: Sequence[float], tools: Sequence[ToolBody]) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,13 @@ class StepActs:
 
     def __post_init__(self) -> None:
         self.force, self.torque, self.greatest = (np.zeros((self.tools, 3)) for _ in range(3))
+
+    def copy(self) -> StepActs:
+        """The same, to go on from apart."""
+        other = replace(self, seconds=dict(self.seconds))
+        other.force, other.torque, other.greatest = self.force.copy(), self.torque.copy(), self.greatest.copy()
+        other._deepest = dict(self._deepest)
+        return other
 
     def add(
         self,

@@ -12,6 +12,7 @@ from .collide.certified.body import GridCache
 from .collide.certified.proximity import separation
 from .errors import InputError, SimulationError
 from .expect import Expectation, evaluate, pair_index
+from .force_control import FORCE_TOLERANCE
 from .frames import FrameMaker
 from .history import History, Summary
 from .model import Model
@@ -251,6 +252,16 @@ def _warnings(session: Session, history: History, summary: Summary) -> list[str]
         lines.append(
             f"{steps}: residual penetration up to {worst:.3g} {unit}, above max_penetration {limit:.3g} {unit}"
         )
+    for tool, push in model.pushes.items():
+        if (
+            0.0
+            < (met := history.greatest("force", model.pairs.of(model.models + tool)))
+            < (1.0 - 2.0 * FORCE_TOLERANCE) * push.force
+        ):
+            lines.append(
+                f"the tool {model.tools[tool].name!r} met at most {met:.4g} N of its {push.force:g} N: its path ends, or turns "
+                "back, before the material resists with more"
+            )
     if summary.refit_max_error > model.scene.refit.tolerance:
         lines.append(
             f"the refit surfaces are up to {summary.refit_max_error:.3g} {unit} away from their nodes, "

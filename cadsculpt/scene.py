@@ -188,6 +188,12 @@ class SolverSpec(Spec):
         step, substep = given.get("step"), given.get("substep")
         if is_number(step) and is_number(substep) and substep > step > 0:
             yield Fault(("substep",), f"substep must be at most step {shown(step)}, not {shown(substep)}")
+        tolerance, left = given.get("tolerance"), given.get("max_penetration")
+        if is_number(tolerance) and is_number(left) and 0 < left < tolerance:
+            yield Fault(
+                ("max_penetration",),
+                f"max_penetration {shown(left)} cannot be seen with tolerance {shown(tolerance)} (make tolerance smaller)",
+            )
         if given.get("quasi_static") is True and given.get("integrator") != "implicit":
             yield Fault(("quasi_static",), 'quasi_static needs integrator = "implicit"')
 
@@ -323,6 +329,13 @@ class Scene(Spec):
         for place, material in _materials_named(given):
             if isinstance(material, str) and material not in materials:
                 yield Fault(place, f"material {shown(material)} is not known {mend(material, materials)}")
+        if any(read(tool, "control") == "force" for tool in entries(given, "tool")):
+            for i, model in enumerate(entries(given, "model")):
+                if read(model, "anchor") == "none":
+                    yield Fault(
+                        ("model", i, "anchor"),
+                        'nothing holds it against the tools under control = "force" (use "base")',
+                    )
         for i, expect in enumerate(entries(given, "expect")):
             pair = read(expect, "pair")
             if not isinstance(pair, (list, tuple)) or len(pair) != 2 or not {"model", "tool"} <= set(given):

@@ -200,6 +200,9 @@ class ToolSpec(ShapeSpec, NamedTool):
     force: Positive | None = Field(
         default=None, description='N along the direction of the path, with control = "force"'
     )
+    direction: Vector | None = Field(
+        default=None, description="where the force points, when not along the tool's way to its path: [x, y, z]"
+    )
     path: (
         Annotated[
             Annotated[Text, Tag(WORD)] | Annotated[tuple[PathRow, ...], Field(min_length=1), Tag(LIST)],
@@ -216,8 +219,11 @@ class ToolSpec(ShapeSpec, NamedTool):
         yield from super().faults(given)
         if given.get("control") == "force" and "force" not in given:
             yield Fault(("control",), 'force is missing (control = "force" needs the force in N)')
-        if "force" in given and given.get("control", "position") == "position":
-            yield Fault(("force",), 'force needs control = "force"')
+        for key in ("force", "direction"):
+            if key in given and given.get("control", "position") == "position":
+                yield Fault((key,), f'{key} needs control = "force"')
+        if given.get("direction") in ([0, 0, 0], (0, 0, 0)):
+            yield Fault(("direction",), "direction has no length (write where the force points, [0, 0, -1] say)")
         yield from _path_faults(entries(given, "path"))
         path = given.get("path")
         if given.get("path_options") is not None and not (

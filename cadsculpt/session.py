@@ -21,6 +21,7 @@ from .collide.detect import Counters, DetectCache, Detection, DetectOptions, Sur
 from .collide.query import FieldTool, PointTool
 from .encounters import Pairs
 from .errors import InputError, SimulationError
+from .force_control import PushMemory, find_poses
 from .groups import Group, group_patches
 from .lattices import Lattices
 from .lookahead import Lookahead
@@ -58,6 +59,7 @@ class State:
 
     lattices : in the world. control_points : in the world, of a deformable tool in its own frame.
     touched (pairs,) : when each of the model's pairs touched first [s]; NaN where it has not.
+    pushes : of tools under force control.
     """
 
     time: float
@@ -66,6 +68,17 @@ class State:
     lattices: list[LatticeState]
     control_points: list[Array]
     touched: Array
+    pushes: PushMemory
+
+    def copy(self) -> State:
+        """A state of its own with the same values. (Control points are not written to, only replaced.)"""
+        return replace(
+            self,
+            poses=list(self.poses),
+            lattices=[lattice.copy() for lattice in self.lattices],
+            control_points=list(self.control_points),
+            touched=self.touched.copy(),
+        )
 
 
 class Buildable(Protocol):
@@ -80,9 +93,9 @@ class Session:
 
     source : a `Model`, or a scene that builds one. After `step`, `contacts` and `forces` (n, 3) [N, on the bodies a] hold
     the contacts that acted during it, `depths` (n,) how deep they are at its end (in the deepest piece of a step that
-    continuous collision cuts). `clock`, a timer in seconds, fills `timing`
-    with the seconds that each phase of each step took. `undecided` : per pair of bodies, how deep a contact may have been
-    that was not found (see `query.Undecided`); empty as a rule.
+    continuous collision cuts). `clock`, a timer in seconds, fills `timing` with the seconds that each phase of each step
+    took. `undecided` : per pair of bodies, how deep a contact may have been that was not found (see `query.Undecided`); empty as
+    a rule.
     """
 
     source: Model | Buildable
@@ -111,6 +124,7 @@ class Session:
             lattices=self._lattices.at_rest(),
             control_points=[patch.surface.control_points.copy() for patch in model.patches],
             touched=np.full(len(model.pairs), np.nan),
+            pushes=PushMemory.of(len(model.tools)),
         )
         self.lookahead = Lookahead(model)
         self.contacts, self.forces, self.depths = Contacts.none(), np.zeros((0, 3)), np.zeros(0)
@@ -140,7 +154,11 @@ class Session:
                 else tool.path.pose(time)
                 for i, tool in enumerate(model.tools)
             ]  # fmt: skip
-            self._follow(after, time, acts)
+            if model.pushes:
+                acts = self._push(after, time, acts)
+            else:
+                self._follow(after, time, acts)
+        state = self.state
         state.time, state.step = start + dt, state.step + 1
         for phase, seconds in acts.seconds.items():
             self.timing[phase].append(seconds)
@@ -162,6 +180,25 @@ class Session:
             there = [given.get(tool.name, tool.path.pose(time)) for tool in self.model.tools]
             travel, here = travel + self._margin(here, there), there
         return stops if travel > self.model.stride else [end]
+
+    def _push(self, targets: list[Pose], end: float, acts: StepActs) -> StepActs:
+        """Move the tools towards `targets`, those under force control as far as their force takes them. Returns `acts` with
+        what acted meanwhile."""
+        start, undecided, share = self.state, dict(self.undecided), acts.dt / (end - self.state.time)
+        done = acts
+
+        def trial(poses: list[Pose]) -> Array:
+            nonlocal done
+            self.state, self.undecided, done = start.copy(), dict(undecided), acts.copy()
+            self._follow(poses, end, done)
+            return (done.force - acts.force) * share
+
+        try:
+            find_poses(self.model.pushes, start.pushes, start.poses, targets, end - start.time, trial)
+        except SimulationError:
+            self.state = start
+            raise
+        return done
 
     def _follow(self, after: list[Pose], end: float, acts: StepActs) -> None:
         """Move the tools to `after`, in one piece where that is no farther than `Model.stride`.
@@ -357,6 +394,7 @@ class Session:
             "undecided": np.array([(*pair, depth) for pair, depth in sorted(self.undecided.items())]).reshape(-1, 3),
             "pose_at": np.array([pose.at for pose in state.poses]),
             "pose_rotation": np.array([pose.rotation for pose in state.poses]),
+            **state.pushes.arrays(),
         }
         of_patch = self._lattices.of_patches(state.lattices)
         for i, (lattice, net) in enumerate(zip(of_patch, state.control_points, strict=True)):
@@ -376,7 +414,7 @@ class Session:
             nets = [np.array(arrays[f"net_{i}"]) for i in range(len(patches))]
             touched = np.array(arrays["touched"])
             poses = [Pose(a, r) for a, r in zip(arrays["pose_at"], arrays["pose_rotation"], strict=True)]
-            time, step = float(arrays["time"]), int(arrays["step"])
+            time, step, pushes = float(arrays["time"]), int(arrays["step"]), PushMemory.of_arrays(arrays)
         except KeyError as error:
             raise InputError(f"the checkpoint lacks {error}", mend="start the run again with --force") from None
         shapes = [net.shape for net in nets], [lattice.x.shape for lattice in lattices]
@@ -384,7 +422,7 @@ class Session:
         if shapes != mine or len(poses) != len(self.model.tools) or touched.shape != self.state.touched.shape:
             raise InputError("the checkpoint belongs to another scene", mend="start the run again with --force")
         self.undecided = {(int(a), int(b)): float(depth) for a, b, depth in arrays.get("undecided", ())}
-        self.state = State(time, step, poses, self._lattices.joined(lattices), nets, touched)
+        self.state = State(time, step, poses, self._lattices.joined(lattices), nets, touched, pushes)
 
     # -------------------------------------------------------------- internals
 

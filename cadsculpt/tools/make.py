@@ -41,8 +41,6 @@ def make_tool(
     a point is out of it. surfaces, mesh : what the file of a surface or mesh tool holds, in the scene's unit.
     """
     where = f"tool {spec.name!r}"
-    if spec.control != "position":
-        raise InputError(f"control = {spec.control!r} cannot be run yet", where=where, mend='use control = "position"')
     try:
         match spec.shape:
             case "point":
