@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, SimulationError
 from ..jit import njit
 from .forces import local_nodes, press, rub
-from .impulses import contact_rows, impel, relative_velocity, touches
+from .impulses import contact_rows, impel, meeting_nodes, relative_velocity, touches
 from .lattice import Lattice
 from .rigid import ride
 from .springs import fastest_stretch, highest_frequency, largest_drag, spring_forces
@@ -233,7 +233,9 @@ def advance(
         work.mobility,
         work.start,
         work.node,
+        work.local_rows,
         work.weight,
+        work.moving,
         dt / count,
         count,
     )
@@ -310,7 +312,9 @@ def _advance(
     mobility: Array,
     start: Index,
     node: Index,
+    local_rows: Index,
     weight: Array,
+    moving_space: Array,
     h: float,
     count: int,
 ) -> tuple[int, float]:
@@ -331,14 +335,18 @@ def _advance(
     in_turns = len(other_nodes) > 0 or touches(nodes, tie_row)
     met = 0
     if in_turns:
-        pressing[:contacts] = 0.0
+        for c in range(contacts):
+            # the first guess: what presses while nothing moves
+            pressing[c] = h * area[c] * contact_stiffness[c] * max(0.0, depth[c])
         rubbing[:contacts] = 0.0
         contact_rows(
             nodes, weights, other_nodes, other_weights, tie_row, tie_start, masters, tie_weights, start, node, weight
         )
+        met = meeting_nodes(start, node, contacts, place, distinct_space, local_rows)
     elif contacts:
         met = local_nodes(nodes, place, distinct_space, local_space)
     distinct, local, nodal = distinct_space[:met], local_space[:contacts], nodal_space[:met]
+    moving = moving_space[:met]
 
     for _ in range(count):
         for a in range(3):
@@ -356,8 +364,8 @@ def _advance(
             _accelerate(f[a, 1 : size + 1], gamma, inverse_mass, h, v[a, 1 : size + 1])
         if in_turns:
             impel(
-                start, node, weight, normal, area, contact_stiffness, contact_damping, friction, tool, depth, inverse_mass,
-                h, v, pressing, rubbing, mobility, rigid,
+                distinct, start, local_rows, weight, normal, area, contact_stiffness, contact_damping, friction, tool, depth,
+                inverse_mass, h, v, pressing, rubbing, mobility, moving,
             )  # fmt: skip
         elif contacts:
             # f now holds the velocities before the sub-step

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..jit import njit
-from .lattice import Lattice
+from .lattice import Lattice, grid_shape
 from .material import Material
 
 Array = NDArray[np.float64]
@@ -73,14 +73,14 @@ def node_weights(lattice: Lattice, u: ArrayLike, v: ArrayLike) -> tuple[Index, A
 
     Around the seam in closed directions; outside the grid, those of its border. Nodes in no cell get weight 0 and the
     others share it; where all four are in no cell, the nearest surface node that is in one gets all. Raises
-    InputError for (u, v) that are not finite.
+    InputError for (u, v) that are not finite, and for an assembly, which has no grid.
     """
+    _, nv, nl = grid_shape(lattice)
     u, v = np.atleast_1d(np.asarray(u, dtype=np.float64)), np.atleast_1d(np.asarray(v, dtype=np.float64))
     if not (np.isfinite(u).all() and np.isfinite(v).all()):
         raise InputError("a contact at parameters that are not finite")
     i0, i1, a = _between(lattice.u, lattice.period[0], u)
     j0, j1, b = _between(lattice.v, lattice.period[1], v)
-    _, nv, nl = lattice.shape
     nodes = np.stack([(i * nv + j) * nl for i in (i0, i1) for j in (j0, j1)], axis=1)
     weights = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b], axis=1)
     weights[~lattice.active[nodes]] = 0.0

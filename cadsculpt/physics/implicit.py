@@ -39,7 +39,7 @@ from ..errors import InputError, SimulationError
 from .explicit import MOST_STRETCH, NO_LOAD, ContactLoad, LatticeState, StepForces
 from .impulses import contact_rows, touches
 from .lattice import Lattice
-from .rigid import body_modes, free_bodies, rigid_motion
+from .rigid import body_modes, rigid_flight
 from .springs import fastest_stretch, spring_tangents
 from .tangent import Numbering, Tangent, one_blas_thread, solve
 from .ties import carried, condensed
@@ -236,13 +236,12 @@ class _Problem:
         nodes, weights = _both_sides(lattice, load)
         modes, core = np.zeros((0, *start.x.shape)), np.zeros((0, 0))
         if not quasi_static and len(lattice.free):
-            modes, core = body_modes(lattice.free, lattice.gamma, start.x)
+            flight = rigid_flight(lattice.free, lattice.mass, start.x, start.velocity, h)
+            modes, core = body_modes(lattice.free, lattice.gamma, start.x + 0.5 * h * flight)
             core /= h
+            going[lattice.active] += flight[lattice.active]
         for _, a, b in lattice.free:
             frame[a:b] = 0.0
-        for body in free_bodies(lattice.free):
-            centre, velocity, spin = rigid_motion(lattice.mass[body], start.x[body], start.velocity[body])
-            going[body] = velocity + np.cross(spin, start.x[body] - centre)
         springs = lattice.stiffness > 0.0
         real = springs & (lattice.rest_length > 1e-6 * lattice.spacing)
         pull = lattice.stiffness * lattice.rest_length

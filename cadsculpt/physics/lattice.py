@@ -256,11 +256,18 @@ def spring_segments(shape: tuple[int, int, int], wrap: tuple[bool, bool]) -> Ind
     return np.array(rows, dtype=np.int64)
 
 
+def grid_shape(lattice: Lattice) -> tuple[int, int, int]:
+    """`shape` of a lattice with a grid. Raises InputError for an assembly of several."""
+    if not len(lattice.u):
+        raise InputError("an assembly of lattices has no grid", mend="ask its parts one by one")
+    return lattice.shape
+
+
 def hexahedra(lattice: Lattice) -> Index:
     """Node indices (cu * cv * layers, 8) of all cells, C-ordered as `cell_material`, in VTK's order, volumes
-    positive.
+    positive. Raises InputError for an assembly, which has no grid.
     """
-    nu, nv, nl = lattice.shape
+    nu, nv, nl = grid_shape(lattice)
     i, j, k = np.meshgrid(*(np.arange(n) for n in lattice.cell_material.shape), indexing="ij")
     corners = []
     for dk in (0, 1):

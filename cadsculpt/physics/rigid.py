@@ -43,9 +43,25 @@ def free_bodies(free: Index) -> list[Index]:
     ]
 
 
+def rigid_flight(free: Index, mass: Array, x: Array, velocity: Array, h: float) -> Array:
+    """Displacements over h seconds (N, 3), over h, of free bodies that fly on as they do on average; 0 on what is held.
+
+    A body turns by Cayley's rotation about its centre, whose chords omega x (r0 + r1) / 2 are those of a rigid body: of what
+    flies freely it is the implicit step itself.
+    """
+    flight = np.zeros_like(x)
+    for body in free_bodies(free):
+        centre, mean, spin = rigid_motion(mass[body], x[body], velocity[body])
+        # omega x, as a matrix on row vectors
+        turn = np.cross(spin, np.eye(3))
+        middle = np.linalg.solve(np.eye(3) - 0.5 * h * turn.T, (x[body] - centre).T).T
+        flight[body] = mean + middle @ turn
+    return flight
+
+
 def body_modes(free: Index, gamma: Array, x: Array) -> tuple[Array, Array]:
     """Modes (r, N, 3) and core (r, r) so that the sum modes^T core modes v is gamma times the rigid motions nearest to v, at
-    positions x (N, 3), 0 on what is held.
+    positions x (N, 3), 0 on what is held. (An implicit step's chords are rigid at the middle of its way, `rigid_flight`.)
     """
     bodies = [body for body in free_bodies(free) if gamma[body].any()]
     modes, core = np.zeros((6 * len(bodies), *x.shape)), np.zeros((6 * len(bodies), 6 * len(bodies)))

@@ -23,8 +23,9 @@ class Workspace:
     """Arrays of N nodes, and of n contacts with some to spare; no part of the state. What a step returns are views of them.
 
     scratch (SCRATCH_ROWS, N + 2). place (N,) : -1. rest (13, N) : rest lengths at the step's start, of plastic lattices alone.
-    distinct (4 n,), local, impulse, marks (n, 4), nodal (4 n, 12) : of `forces.press`. pressing (n,), rubbing (n, 3),
-    mobility (n,), start (n + 1,), node, weight : of `impulses.impel`. depth (n,), mean_force, end_force (n, 3) : the outcome.
+    rigid (16,) : of `rigid.ride`. distinct : of both kinds of contact. local, impulse, marks (n, 4), nodal (4 n, 12) : of
+    `forces.press`. pressing (n,), rubbing (n, 3), mobility (n,), start (n + 1,), node, local_rows, weight, moving : of
+    `impulses.impel`. depth (n,), mean_force, end_force (n, 3) : the outcome.
     """
 
     scratch: Array = field(default_factory=lambda: _numbers(SCRATCH_ROWS, 0))
@@ -41,7 +42,9 @@ class Workspace:
     mobility: Array = field(default_factory=lambda: _numbers(0))
     start: Index = field(default_factory=lambda: np.zeros(1, dtype=np.int64))
     node: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    local_rows: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     weight: Array = field(default_factory=lambda: _numbers(0))
+    moving: Array = field(default_factory=lambda: _numbers(0, 4))
     depth: Array = field(default_factory=lambda: _numbers(0))
     mean_force: Array = field(default_factory=lambda: _numbers(0, 3))
     end_force: Array = field(default_factory=lambda: _numbers(0, 3))
@@ -59,10 +62,11 @@ class Workspace:
             self._grow(max(contacts, 2 * len(self.depth)), fan)
 
     def _grow(self, contacts: int, fan: int) -> None:
-        self.distinct, self.nodal = np.zeros(4 * contacts, dtype=np.int64), np.zeros((4 * contacts, 12))
+        self.distinct, self.nodal = np.zeros(fan * contacts, dtype=np.int64), np.zeros((4 * contacts, 12))
         self.local, self.impulse = np.zeros((contacts, 4), dtype=np.int64), np.zeros((contacts, 4))
         self.marks = np.zeros((contacts, 4), dtype=np.bool_)
         self.pressing, self.mobility, self.depth = np.zeros(contacts), np.zeros(contacts), np.zeros(contacts)
         self.rubbing, self.mean_force, self.end_force = (np.zeros((contacts, 3)) for _ in range(3))
         self.start = np.zeros(contacts + 1, dtype=np.int64)
-        self.node, self.weight = np.zeros(fan * contacts, dtype=np.int64), np.zeros(fan * contacts)
+        self.node, self.local_rows = (np.zeros(fan * contacts, dtype=np.int64) for _ in range(2))
+        self.weight, self.moving = np.zeros(fan * contacts), np.zeros((fan * contacts, 4))
