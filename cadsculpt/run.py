@@ -253,11 +253,8 @@ def _warnings(session: Session, history: History, summary: Summary) -> list[str]
             f"{steps}: residual penetration up to {worst:.3g} {unit}, above max_penetration {limit:.3g} {unit}"
         )
     for tool, push in model.pushes.items():
-        if (
-            0.0
-            < (met := history.greatest("force", model.pairs.of(model.models + tool)))
-            < (1.0 - 2.0 * FORCE_TOLERANCE) * push.force
-        ):
+        met = history.greatest("force", model.pairs.of(model.models + tool))
+        if 0.0 < met < (1.0 - 2.0 * FORCE_TOLERANCE) * push.force:
             lines.append(
                 f"the tool {model.tools[tool].name!r} met at most {met:.4g} N of its {push.force:g} N: its path ends, or turns "
                 "back, before the material resists with more"
