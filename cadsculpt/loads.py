@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from .collide.contacts import Contacts
 from .groups import Group
 from .patch import Patch
+from .physics.contact_law import contact_numbers
 from .physics.explicit import ContactLoad
-from .physics.forces import contact_stiffness, node_weights
+from .physics.forces import node_weights
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -42,34 +43,24 @@ class Sides:
 
 @dataclass(slots=True, eq=False)
 class LoadMaker:
-    """Makes loads for the patches of a model, in metres_per_unit m; keeps the numbers of pairs of patches."""
+    """Makes loads for the patches of a model, in metres_per_unit m; keeps the numbers of pairs of materials."""
 
     patches: Sequence[Patch]
     metres_per_unit: float
-    _pairs: dict[tuple[int, int], tuple[float, float, float]] = field(default_factory=dict)
+    _numbers: dict[tuple[int, int, int, int], tuple[float, float, float]] = field(default_factory=dict)
 
-    def numbers(self, first: int, second: int) -> tuple[float, float, float]:
-        """k_n [N/L^3], c_n [N s/L^3] and the coefficient of friction between two patches, the second of which may be RIGID.
-
-        Of two materials the springs stand one behind the other, the masses likewise, and the more slippery one decides.
-        """
-        key = first, second
-        if key not in self._pairs:
-            self._pairs[key] = self._numbers(first, second)
-        return self._pairs[key]
-
-    def _numbers(self, first: int, second: int) -> tuple[float, float, float]:
-        a = self.patches[first]
-        if second == RIGID:
-            return a.contact_stiffness, a.contact_damping, a.material.friction
-        b = self.patches[second]
-        # (k_n of a patch alone belongs to the smaller of its spacing and thickness)
-        reach = min(a.contact_reach, b.contact_reach)
-        stiffness = contact_stiffness([a.material, b.material], reach, reach, self.metres_per_unit)
-        # c^2 / k is what it damps: the masses of half a cell, that of both moving against each other
-        masses = [p.contact_damping**2 / p.contact_stiffness for p in (a, b)]
-        damping = float(np.sqrt(stiffness / sum(1.0 / mass for mass in masses))) if min(masses) > 0.0 else 0.0
-        return stiffness, damping, min(a.material.friction, b.material.friction)
+    def numbers(self, main: Index, kinds: Index, other: Index, others: Index) -> Array:
+        """k_n [N/L^3], c_n [N s/L^3] and the coefficient of friction (n, 3) of contacts on materials `kinds` of the patches
+        `main`, with materials `others` of the patches `other`, which may be RIGID."""
+        keys, place = np.unique(np.stack([main, kinds, other, others], axis=1), axis=0, return_inverse=True)
+        rows = np.empty((len(keys), 3))
+        for row, (a, i, b, j) in zip(rows, keys.tolist(), strict=True):
+            key = a, i, b, j
+            if key not in self._numbers:
+                second = None if b == RIGID else self.patches[b].law
+                self._numbers[key] = contact_numbers(self.patches[a].law, i, second, j)
+            row[:] = self._numbers[key]
+        return rows[place.reshape(-1)]
 
     def load(self, group: Group, contacts: Contacts, sides: Sides, velocity: Array) -> ContactLoad:
         """The contacts (n), all of them with `main` in the group, as a load on its lattice. velocity (n, 3) : of the side that
@@ -78,16 +69,15 @@ class LoadMaker:
         main, sign = sides.main, sides.sign
         swapped = sides.a == RIGID
         nodes, weights = np.zeros((count, 4), np.int64), np.zeros((count, 4))
+        kinds, others = np.zeros(count, np.int64), np.zeros(count, np.int64)
         u, v = np.where(swapped, contacts.tool_u, contacts.u), np.where(swapped, contacts.tool_v, contacts.v)
-        self._carriers(group, main, u, v, nodes, weights)
+        self._carriers(group, main, u, v, nodes, weights, kinds)
         other = np.where(swapped, RIGID, sides.b)
         other_nodes = other_weights = None
         if (other != RIGID).any():
             other_nodes, other_weights = np.zeros((count, 4), np.int64), np.zeros((count, 4))
-            self._carriers(group, other, contacts.tool_u, contacts.tool_v, other_nodes, other_weights)
-        numbers = np.array([self.numbers(a, b) for a, b in zip(main.tolist(), other.tolist(), strict=True)]).reshape(
-            -1, 3
-        )
+            self._carriers(group, other, contacts.tool_u, contacts.tool_v, other_nodes, other_weights, others)
+        numbers = self.numbers(main, kinds, other, others)
         return ContactLoad(
             nodes=nodes,
             weights=weights,
@@ -102,11 +92,14 @@ class LoadMaker:
             other_weights=other_weights,
         )
 
-    def _carriers(self, group: Group, patch: Index, u: Array, v: Array, nodes: Index, weights: Array) -> None:
-        """Fill in the nodes (n, 4) of the group and their weights around (u, v) of the patches (n,)."""
+    def _carriers(
+        self, group: Group, patch: Index, u: Array, v: Array, nodes: Index, weights: Array, kinds: Index
+    ) -> None:
+        """Fill in the nodes (n, 4) of the group, their weights around (u, v) of the patches (n,), and what material it is."""
         for k in np.unique(patch).tolist():
             if k == RIGID:
                 continue
             mine = np.flatnonzero(patch == k)
             found, share = node_weights(self.patches[k].lattice, u[mine], v[mine])
             nodes[mine], weights[mine] = found + group.nodes_of(k).start, share
+            kinds[mine] = self.patches[k].law.kinds(u[mine], v[mine])

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.detect import PatchGrid
+from .physics.contact_law import ContactLaw
 from .physics.explicit import stable_substep
-from .physics.forces import contact_damping, contact_stiffness
 from .physics.inward import inward_directions
 from .physics.lattice import Lattice, build_lattice
 from .physics.material import Material
@@ -88,11 +88,7 @@ class Patch:
     v: Array
     held: NDArray[np.bool_]
     material_nodes: NDArray[np.bool_]
-    material: Material
-    contact_stiffness: float
-    contact_damping: float
-    contact_reach: float
-    """The smaller of node spacing and thickness, which the contact's stiffness belongs to, in L."""
+    law: ContactLaw
     substep: float
     """The largest stable sub-step of the explicit integrator, contact included, in s."""
 
@@ -164,7 +160,8 @@ def build_patch(
         metres_per_unit=unit,
     )
     held = _held(surface, nodes, face, borders)
-    stiffness = contact_stiffness(material, thickness, min(spacing), unit)
+    # what lies beyond the trims is touched as what lies beside it
+    law = ContactLaw(lattice, (material, material, *materials[2:]), min(spacing), scene.solver.max_penetration)
     return Patch(
         body=body,
         source=face,
@@ -176,10 +173,7 @@ def build_patch(
         v=nodes.v,
         held=held,
         material_nodes=_nodes_of_cells(on_face, wrap=(nodes.wrap_u, nodes.wrap_v)),
-        material=material,
-        contact_stiffness=stiffness,
-        contact_damping=contact_damping(material, stiffness, lattice),
-        contact_reach=min(*spacing, thickness),
+        law=law,
         substep=stable_substep(lattice),
     )
 

@@ -180,7 +180,7 @@ def test_forces_on_two_materials_are_as_their_moduli(runs):
     at_rest = (forces.time > 0.085) & (forces.time < 0.0995)
     names = np.array(forces.tool)
     soft, hard = (forces.force[at_rest & (names == f"on the {name}"), 2].mean() for name in ("cushion", "rubber"))
-    assert hard / soft == pytest.approx(10.0, rel=0.05)
+    assert hard / soft == pytest.approx(10.0, rel=0.01)
 
 
 def test_the_sheet_keeps_the_spiral_but_for_its_spring_back(runs):
