@@ -72,9 +72,6 @@ def assemble(parts: Sequence[Lattice], ties: Ties | None = None) -> Assembly:
     if len(parts) == 1 and tied is NO_TIES:
         return Assembly(parts[0], parts, starts)
 
-    def joined(name: str, axis: int = 0) -> NDArray[np.generic]:
-        return np.concatenate([getattr(part, name) for part in parts], axis=axis)
-
     count = int(ends[-1])
     anchored = np.concatenate([part.anchored for part in parts])
     if len(tied.nodes):
@@ -110,8 +107,12 @@ def assemble(parts: Sequence[Lattice], ties: Ties | None = None) -> Assembly:
         ties=tied,
         starts=starts,
         free=_free_bodies(starts, count, tied, anchored & active),
-        **{name: joined(name) for name in ("nodes", "volume")},
-        **{name: joined(name, 1) for name in ("stiffness", "rest_length", "yield_strain", "hardening")},
+        nodes=np.concatenate([part.nodes for part in parts]),
+        volume=np.concatenate([part.volume for part in parts]),
+        stiffness=np.concatenate([part.stiffness for part in parts], axis=1),
+        rest_length=np.concatenate([part.rest_length for part in parts], axis=1),
+        yield_strain=np.concatenate([part.yield_strain for part in parts], axis=1),
+        hardening=np.concatenate([part.hardening for part in parts], axis=1),
     )
     square = highest_frequency(
         lattice.segments,

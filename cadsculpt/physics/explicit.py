@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, SimulationError
 from ..jit import njit
 from .forces import local_nodes, press, rub
-from .impulses import contact_rows, impel, meeting_nodes, relative_velocity, touches
+from .impulses import contact_rows, impel, meeting_nodes, touches
 from .lattice import Lattice
 from .rigid import ride
 from .springs import fastest_stretch, highest_frequency, largest_drag, spring_forces
@@ -56,7 +56,7 @@ class LatticeState:
     x: Array
     velocity: Array
     rest_length: Array
-    workspace: Workspace = field(default_factory=Workspace)
+    workspace: Workspace = field(default_factory=Workspace, init=False)
 
     @classmethod
     def at_rest(cls, lattice: Lattice) -> LatticeState:
@@ -328,20 +328,21 @@ def _advance(
         for n in range(size):
             x[a, n + 1] = x0[n, a]
             v[a, n + 1] = velocity0[n, a]
-        scatter(tied, tie_start, masters, tie_weights, v[a, 1 : size + 1])
+    scatter(tied, tie_start, masters, tie_weights, v)
     if plastic:
-        rest_before[:] = rest_length
+        _copy(rest_length, rest_before)
     mean_force[:] = 0.0
     in_turns = len(other_nodes) > 0 or touches(nodes, tie_row)
     met = 0
+    contact_rows(
+        nodes, weights, other_nodes, other_weights, tie_row, tie_start, masters, tie_weights, start, node, weight
+    )
     if in_turns:
         for c in range(contacts):
             # the first guess: what presses while nothing moves
             pressing[c] = h * area[c] * contact_stiffness[c] * max(0.0, depth[c])
-        rubbing[:contacts] = 0.0
-        contact_rows(
-            nodes, weights, other_nodes, other_weights, tie_row, tie_start, masters, tie_weights, start, node, weight
-        )
+            for a in range(3):
+                rubbing[c, a] = 0.0
         met = meeting_nodes(start, node, contacts, place, distinct_space, local_rows)
     elif contacts:
         met = local_nodes(nodes, place, distinct_space, local_space)
@@ -359,8 +360,8 @@ def _advance(
             for a in range(3):
                 f[a, n + 1] += gamma[n] * frame_velocity[n, a]
         ride(free, gamma, frame_velocity, x, v, f, rigid)
+        gather(tied, tie_start, masters, tie_weights, f)
         for a in range(3):
-            gather(tied, tie_start, masters, tie_weights, f[a, 1 : size + 1])
             _accelerate(f[a, 1 : size + 1], gamma, inverse_mass, h, v[a, 1 : size + 1])
         if in_turns:
             impel(
@@ -374,23 +375,18 @@ def _advance(
                 h, f, v, nodal, marks, impulse,
             )  # fmt: skip
             rub(distinct, local, normal, tool, friction, inverse_mass, impulse, v, nodal, rubbing)
+        scatter(tied, tie_start, masters, tie_weights, v)
         for a in range(3):
-            scatter(tied, tie_start, masters, tie_weights, v[a, 1 : size + 1])
             _move(v[a], h, x[a])
         for c in range(contacts):
-            if in_turns:
-                total = pressing[c]
-            else:
-                total = impulse[c, 0] + impulse[c, 1] + impulse[c, 2] + impulse[c, 3]
+            if not in_turns:
+                pressing[c] = impulse[c, 0] + impulse[c, 1] + impulse[c, 2] + impulse[c, 3]
             for a in range(3):
-                if in_turns:
-                    relative = relative_velocity(c, start, node, weight, tool, v, a)
-                else:
-                    relative = -tool[c, a]
-                    for k in range(4):
-                        relative += weights[c, k] * v[a, nodes[c, k] + 1]
+                relative = -tool[c, a]
+                for r in range(start[c], start[c + 1]):
+                    relative += weight[r] * v[a, node[r] + 1]
                 depth[c] += h * relative * normal[c, a]
-                end_force[c, a] = (rubbing[c, a] - total * normal[c, a]) / h
+                end_force[c, a] = (rubbing[c, a] - pressing[c] * normal[c, a]) / h
                 mean_force[c, a] += end_force[c, a] / count
 
     # tied displacements to the last digit, whatever has been rounded away on the way
@@ -409,13 +405,21 @@ def _advance(
     finite = finite and square < math.inf
     if not finite or fastest_stretch(segments, stiffness, initial_length, v) * h > MOST_STRETCH:
         if plastic:
-            rest_length[:] = rest_before
+            _copy(rest_before, rest_length)
         return _TOO_FAST if finite else _LOST, 0.0
     for n in range(size):
         for a in range(3):
             x0[n, a] = x[a, n + 1]
             velocity0[n, a] = v[a, n + 1]
     return _DONE, math.sqrt(square)
+
+
+@njit
+def _copy(source: Array, target: Array) -> None:
+    # element by element: an assignment of arrays would bring numba's own error messages along, two seconds to compile
+    for d in range(source.shape[0]):
+        for n in range(source.shape[1]):
+            target[d, n] = source[d, n]
 
 
 @njit

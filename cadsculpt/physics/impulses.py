@@ -97,17 +97,6 @@ def touches(nodes: Index, row: Index) -> bool:
 
 
 @njit
-def relative_velocity(
-    c: int, start: Index, node: Index, weight: Array, tool: Array, velocity: Array, axis: int
-) -> float:
-    """One component of u of contact c; velocity (3, N + 2), padded."""
-    total = -tool[c, axis]
-    for r in range(start[c], start[c + 1]):
-        total += weight[r] * velocity[axis, node[r] + 1]
-    return total
-
-
-@njit
 def meeting_nodes(start: Index, node: Index, contacts: int, place: Index, met: Index, local: Index) -> int:
     """The number of distinct nodes in the rows of so many contacts, in order of appearance in met, and where each entry of
     the rows finds its own there, local. place (N,) : -1, and left so.

@@ -213,18 +213,21 @@ def bodies(parts: Sequence[int], ties: TiedNodes) -> list[int]:
 
 @njit
 def gather(nodes: Index, start: Index, masters: Index, weights: Array, f: Array) -> None:
-    """Add the values of tied nodes in f (N,) to their masters', and leave 0."""
+    """Add the values of tied nodes in f (3, N + 2), padded, to their masters', and leave 0."""
     for s in range(len(nodes)):
-        for e in range(start[s], start[s + 1]):
-            f[masters[e]] += weights[e] * f[nodes[s]]
-        f[nodes[s]] = 0.0
+        n = nodes[s] + 1
+        for a in range(3):
+            for e in range(start[s], start[s + 1]):
+                f[a, masters[e] + 1] += weights[e] * f[a, n]
+            f[a, n] = 0.0
 
 
 @njit
 def scatter(nodes: Index, start: Index, masters: Index, weights: Array, v: Array) -> None:
-    """Give tied nodes in v (N,) the mean of their masters' values."""
+    """Give tied nodes in v (3, N + 2), padded, the mean of their masters' values."""
     for s in range(len(nodes)):
-        total = 0.0
-        for e in range(start[s], start[s + 1]):
-            total += weights[e] * v[masters[e]]
-        v[nodes[s]] = total
+        for a in range(3):
+            total = 0.0
+            for e in range(start[s], start[s + 1]):
+                total += weights[e] * v[a, masters[e] + 1]
+            v[a, nodes[s] + 1] = total
