@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from .errors import InputError
 from .history import History, Summary
 from .scene import ExpectSpec
 
@@ -58,23 +59,23 @@ def evaluate(model: Model, history: History, summary: Summary) -> tuple[Expectat
 
 
 def _evaluate(spec: ExpectSpec, model: Model, history: History, summary: Summary) -> Expectation:
-    body, tool = pair_indices(spec, model)
+    pair = pair_index(spec, model)
     measured: float | str | None
     match spec.what:
         case "verdict":
-            measured = verdict(model, history, body, tool)
+            measured = verdict(model, history, pair)
         case "first_contact":
-            measured = history.first_contact(body, tool)
+            measured = history.first_contact(pair)
         case "max_depth":
-            measured = history.greatest("depth", body, tool)
+            measured = history.greatest("depth", pair)
         case "max_force":
-            measured = history.greatest("force", body, tool)
+            measured = history.greatest("force", pair)
         case "contact_area":
-            measured = history.greatest("area", body, tool)
+            measured = history.greatest("area", pair)
         case "residual_penetration":
-            measured = history.greatest("penetration", body, tool)
+            measured = history.greatest("penetration", pair)
         case "clearance":
-            measured = history.smallest_clearance(body, tool)
+            measured = history.smallest_clearance(pair)
         case "max_displacement":
             measured = summary.max_displacement
         case _:
@@ -86,11 +87,11 @@ def _evaluate(spec: ExpectSpec, model: Model, history: History, summary: Summary
     return Expectation(spec.what, expected, measured, _holds(spec, measured), spec.pair or ())
 
 
-def verdict(model: Model, history: History, body: int | None, tool: int | None) -> str:
+def verdict(model: Model, history: History, pair: int | None) -> str:
     """Over the whole run: "clear" when the pair never touched, else "touching" or "piercing" by the solver's tolerance."""
-    if history.first_contact(body, tool) is None:
+    if history.first_contact(pair) is None:
         return "clear"
-    deep = history.greatest("depth", body, tool) > model.options.tolerance
+    deep = history.greatest("depth", pair) > model.options.tolerance
     return "piercing" if deep else "touching"
 
 
@@ -111,11 +112,19 @@ def _holds(spec: ExpectSpec, measured: float | str | None) -> bool:
     return isinstance(spec.equals, (int, float)) and abs(measured - spec.equals) <= (spec.tolerance or 0.0)
 
 
-def pair_indices(spec: ExpectSpec, model: Model) -> tuple[int | None, int | None]:
-    """Indices of the body and the tool of a pair, whichever way round the scene names them."""
+def pair_index(spec: ExpectSpec, model: Model) -> int | None:
+    """The place in `Model.pairs` of the pair that is meant, whichever way round the scene names it; None for all pairs.
+
+    Raises InputError for two bodies between which nothing is looked for.
+    """
     if spec.pair is None:
-        return None, None
-    tools = [tool.name for tool in model.tools]
-    first, second = spec.pair
-    body, tool = (second, first) if first in tools else (first, second)
-    return model.bodies.index(body), tools.index(tool)
+        return None
+    found = model.pairs.index(*(model.bodies.index(name) for name in spec.pair))
+    if found is None:
+        first, second = spec.pair
+        raise InputError(
+            f"no contact is ever looked for between {first!r} and {second!r}",
+            where=f"expect {spec.what}",
+            mend="name a pair of which one is deformable, or a model and a tool; faces of one solid never meet",
+        )
+    return found

@@ -95,7 +95,7 @@ class FrameMaker:
                 push = -np.einsum("nc,nc->n", session.forces[mine], c.normal[mine]) / c.area[mine] * pascal
                 np.maximum.at(pressure, (i, j), push)
                 contact[i, j] = True
-            stress = nodal_stress(patch.lattice, state.lattices[index])
+            stress = nodal_stress(patch.lattice, session.lattice(index))
             nu, nv, nl = patch.lattice.shape
             surface_stress = stress.reshape(nu, nv, nl)[:, :, 0]
             patches.append(
@@ -117,14 +117,14 @@ class FrameMaker:
 
     def lattices(self) -> list[LatticeFrame]:
         """The hexahedra of every patch as they are now."""
-        model, state = self.session.model, self.session.state
+        model = self.session.model
         return [
             LatticeFrame(
                 name=self.names[i],
-                nodes=state.lattices[i].x.copy(),
+                nodes=self.session.lattice(i).x.copy(),
                 hexahedra=hexahedra(patch.lattice),
-                strain=nodal_strain(patch.lattice, state.lattices[i]),
-                plastic=nodal_plastic_set(patch.lattice, state.lattices[i]),
+                strain=nodal_strain(patch.lattice, self.session.lattice(i)),
+                plastic=nodal_plastic_set(patch.lattice, self.session.lattice(i)),
                 material=patch.lattice.cell_material.ravel(),
                 active=patch.lattice.cell_material.ravel() != 1,  # 1 is the ghost beyond the trims
             )

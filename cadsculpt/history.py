@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .collide.contacts import Contacts
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +29,12 @@ class Summary:
 
 @dataclass(slots=True, eq=False)
 class History:
-    """Per step (rows), per body and per tool: arrays (steps, bodies, tools) that grow; time (steps,).
+    """Per step (rows) and per pair of bodies (columns, in the order of `Model.pairs`): arrays (steps, pairs) that grow; time
+    (steps,).
 
     depth : deepest contact at the start of the step. penetration : what is left of it at the end. force : magnitude of the
     summed contact force. area : touching area. clearance : smallest distance, NaN where it was not asked for.
-    touched (bodies, tools) : when each pair touched first, NaN where it has not.
+    touched (pairs,) : when each pair touched first, NaN where it has not.
     """
 
     time: Array
@@ -45,57 +47,54 @@ class History:
     max_displacement: float = 0.0
 
     @classmethod
-    def empty(cls, bodies: int, tools: int) -> History:
-        none = np.zeros((0, bodies, tools))
-        return cls(np.zeros(0), none, none, none, none, none, np.full((bodies, tools), np.nan))
+    def empty(cls, pairs: int) -> History:
+        none = np.zeros((0, pairs))
+        return cls(np.zeros(0), none, none, none, none, none, np.full(pairs, np.nan))
 
     def add(
-        self, time: float, contacts: Contacts, forces: Array, depths: Array, clearance: Array, touched: Array
+        self,
+        time: float,
+        pair: Index,
+        contacts: Contacts,
+        forces: Array,
+        depths: Array,
+        clearance: Array,
+        touched: Array,
     ) -> None:
-        """Take in the contacts that acted during a step, with their mean forces and the depths at its end, and when
-        (bodies, tools) the pairs touched first so far."""
-        _, bodies, tools = self.depth.shape
-        row = np.zeros((4, bodies, tools))
-        for a, b in {(int(a), int(b)) for a, b in zip(contacts.a, contacts.b, strict=True)}:
-            mine = (contacts.a == a) & (contacts.b == b)
+        """Take in the contacts that acted during a step, with the pair (n,) of each, their mean forces and the depths at its
+        end, and when (pairs,) the pairs touched first so far."""
+        row = np.zeros((4, self.depth.shape[1]))
+        for k in np.unique(pair).tolist():
+            mine = pair == k
             touching = mine & ((contacts.depth > 0) | (depths > 0))
-            row[0, a, b] = contacts.depth[mine].max(initial=0.0)
-            row[1, a, b] = depths[mine].max(initial=0.0)
-            row[2, a, b] = np.linalg.norm(forces[mine].sum(axis=0))
-            row[3, a, b] = contacts.area[touching].sum()
+            row[0, k] = contacts.depth[mine].max(initial=0.0)
+            row[1, k] = depths[mine].max(initial=0.0)
+            row[2, k] = np.linalg.norm(forces[mine].sum(axis=0))
+            row[3, k] = contacts.area[touching].sum()
         self.time = np.append(self.time, time)
         for name, value in zip(("depth", "penetration", "force", "area"), row, strict=True):
             setattr(self, name, np.concatenate([getattr(self, name), value[None]]))
         self.clearance = np.concatenate([self.clearance, clearance[None]])
         self.touched = np.array(touched)
 
-    def first_contact(self, body: int | None = None, tool: int | None = None) -> float | None:
+    def first_contact(self, pair: int | None = None) -> float | None:
         """When the pair (any pair: None) touched first, within its step by continuous collision; None when it never did."""
-        times = self.touched if body is None else self.touched[[body]]
-        times = times if tool is None else times[:, [tool]]
+        times = self.touched if pair is None else self.touched[[pair]]
         return None if np.isnan(times).all() else float(np.nanmin(times))
 
-    def greatest(self, what: str, body: int | None = None, tool: int | None = None) -> float:
-        """Largest value over the run of depth, penetration, force or area."""
+    def greatest(self, what: str, pair: int | Index | None = None) -> float:
+        """Largest value over the run of depth, penetration, force or area, of a pair, of several, or (None) of all."""
         values: Array = getattr(self, what)
-        if body is not None:
-            values = values[:, [body], :]
-        if tool is not None:
-            values = values[:, :, [tool]]
-        return float(values.max(initial=0.0))
+        return float((values if pair is None else values[:, np.atleast_1d(pair)]).max(initial=0.0))
 
-    def smallest_clearance(self, body: int | None, tool: int | None) -> float:
+    def smallest_clearance(self, pair: int | None = None) -> float:
         """Smallest distance over the run; 0 where the pair touched."""
-        values = self.clearance
-        if body is not None:
-            values = values[:, [body], :]
-        if tool is not None:
-            values = values[:, :, [tool]]
+        values = self.clearance if pair is None else self.clearance[:, [pair]]
         return float(np.nanmin(values, initial=np.inf))
 
     def too_deep(self, limit: float) -> list[tuple[int, int, float]]:
         """Runs of steps (first, last, worst) whose residual penetration is above the limit; steps count from 1."""
-        worst = self.penetration.max(axis=(1, 2), initial=0.0)
+        worst = self.penetration.max(axis=1, initial=0.0)
         bad = np.flatnonzero(worst > limit)
         if not len(bad):
             return []

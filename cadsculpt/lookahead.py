@@ -21,7 +21,7 @@ from .collide.continuous.sweep import (
     TimeOfContact,
     first_contact,
 )
-from .collide.detect import DistanceField, PatchGrid
+from .collide.detect import DistanceField
 from .collide.query import BoundedField, lower_bound
 from .model import Model
 from .motion.motion import Motion
@@ -37,58 +37,86 @@ NEAR = 1e-5
 
 @dataclass(slots=True, eq=False)
 class Lookahead:
-    """Continuous collision of a model's bodies and tools; keeps what can be reused from step to step."""
+    """Continuous collision of a model's bodies; keeps what can be reused from step to step.
+
+    Nets are those of `State.control_points`: of a deformable tool in the tool's frame, else in the world. What is not in it is
+    how the shape of a turning tool changes on the way, and what bodies that nothing holds do of themselves.
+    """
 
     model: Model
-    _patches: list[list[int]] = field(init=False)
-    _rest: list[tuple[Array, ...]] = field(init=False)
+    _rest: dict[int, tuple[Array, ...]] = field(init=False)
     _caches: dict[tuple[int, int], SweepCache] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        bodies = range(len(self.model.bodies))
-        self._patches = [[i for i, patch in enumerate(self.model.patches) if patch.body == body] for body in bodies]
-        tools = [tool.tool for tool in self.model.tools]
-        self._rest = [
-            tuple(grid.surface.control_points for grid in tool.grids) if isinstance(tool, SurfaceTool) else ()
-            for tool in tools
-        ]
+        model = self.model
+        self._rest = {
+            k: tuple(grid.surface.control_points for grid in tool.tool.grids)
+            for k, tool in enumerate(model.tools, start=model.models)
+            if isinstance(tool.tool, SurfaceTool)
+        }
 
     def free(self, before: Sequence[Array], after: Sequence[Array], motions: Sequence[Motion]) -> float:
         """The share of all motions, 0 to 1, in which nothing touches while the nets go from `before` to `after`."""
-        share = 1.0
-        for body in range(len(self.model.bodies)):
-            for tool, motion in enumerate(motions):
-                found = self._contact(before, after, motion, body, tool)
+        share, pairs = 1.0, self.model.pairs
+        for a, b, meet in zip(pairs.a.tolist(), pairs.b.tolist(), pairs.meet.tolist(), strict=True):
+            # (two models at rest do not come any nearer)
+            if meet and (b >= self.model.models or before is not after):
+                found = self._contact(before, after, motions, a, b)
                 share = share if found is None else min(share, found.low)
         return share
 
-    def meeting(self, nets: Sequence[Array], motion: Motion, body: int, tool: int) -> float | None:
-        """The share of a motion at which a tool reaches a body at rest; None where it does not."""
-        found = self._contact(nets, nets, motion, body, tool)
+    def meeting(self, nets: Sequence[Array], motions: Sequence[Motion], a: int, b: int) -> float | None:
+        """The share of the tools' motions at which the bodies of a pair come to touch, all shapes at rest; None where they do
+        not, or no tool is one of them."""
+        if b < self.model.models:
+            return None
+        found = self._contact(nets, nets, motions, a, b)
         return None if found is None else min(1.0, max(found.low, found.high))
 
     def _contact(
-        self, before: Sequence[Array], after: Sequence[Array], motion: Motion, body: int, tool: int
+        self, before: Sequence[Array], after: Sequence[Array], motions: Sequence[Motion], a: int, b: int
     ) -> TimeOfContact | None:
-        still = before is after
-        start = self._nets(before, body)
-        moving = MovingPatches(self._grids(body), start, start if still else self._nets(after, body))
-        cache = self._caches.setdefault((body, tool), SweepCache())
-        return first_contact(moving, self._moving(tool, motion), tolerance=NEAR * self.model.stride, cache=cache)
+        cache = self._caches.setdefault((a, b), SweepCache())
+        first, second = self._patches(before, after, motions, a), self._body(before, after, motions, b)
+        return first_contact(first, second, tolerance=NEAR * self.model.stride, cache=cache)
 
-    def _grids(self, body: int) -> tuple[PatchGrid, ...]:
-        return tuple(self.model.patches[i].grid for i in self._patches[body])
+    def _patches(
+        self, before: Sequence[Array], after: Sequence[Array], motions: Sequence[Motion], body: int
+    ) -> MovingPatches:
+        """A body of patches, on straight lines between its places."""
+        model, tool = self.model, self.model.tool_of(body)
+        faces = model.faces_of[body]
+        grids = tuple(model.face(i).grid for i in faces)
+        start = tuple(self._net(before, i) for i in faces)
+        end = start if before is after else tuple(self._net(after, i) for i in faces)
+        if tool is not None:
+            first, last = motions[tool].start, motions[tool].pose(1.0)
+            start, end = (
+                tuple(np.ascontiguousarray(pose.to_world(net)) for net in nets)
+                for pose, nets in ((first, start), (last, end))
+            )
+        return MovingPatches(grids, start, end)
 
-    def _nets(self, nets: Sequence[Array], body: int) -> tuple[Array, ...]:
-        return tuple(nets[i] for i in self._patches[body])
+    def _net(self, nets: Sequence[Array], face: int) -> Array:
+        return nets[face] if face < len(nets) else self.model.face(face).grid.surface.control_points
 
-    def _moving(self, tool: int, motion: Motion) -> RigidPatches | MovingField | MovingPoint:
-        body = self.model.tools[tool].tool
-        if isinstance(body, PointTool):
+    def _body(
+        self, before: Sequence[Array], after: Sequence[Array], motions: Sequence[Motion], body: int
+    ) -> MovingPatches | RigidPatches | MovingField | MovingPoint:
+        index = self.model.tool_of(body)
+        if index is None:
+            return self._patches(before, after, motions, body)
+        tool, motion = self.model.tools[index], motions[index]
+        if isinstance(tool.tool, PointTool):
             return MovingPoint(motion)
-        if isinstance(body, SurfaceTool):
-            return RigidPatches(body.grids, self._rest[tool], motion)
-        return MovingField(_InFrame(body.placed(Pose()).field), body.box_corners, motion, convex=body.convex)
+        if isinstance(tool.tool, SurfaceTool):
+            if tool.patches and any(before[i] is not after[i] for i in tool.patches):
+                return self._patches(before, after, motions, body)
+            nets = tuple(before[i] for i in tool.patches) or self._rest[body]
+            return RigidPatches(tool.tool.grids, nets, motion)
+        return MovingField(
+            _InFrame(tool.tool.placed(Pose()).field), tool.tool.box_corners, motion, convex=tool.tool.convex
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

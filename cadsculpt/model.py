@@ -1,7 +1,7 @@
 """From a scene's text and the surfaces of its files to a `Model`: everything precomputed, nothing that changes.
 
-The engine opens no file. Whoever reads files hands over `SourceBody`s (the faces to be sculpted, in the scene's unit, with
-the edges where they meet other faces), the surfaces of surface tools, the meshes of mesh tools, and the tool paths.
+The engine opens no file. Whoever reads files hands over `SourceBody`s (the faces of a model, in the scene's unit, with the
+edges where they meet other faces), the faces of surface tools, the meshes of mesh tools, and the tool paths.
 """
 
 from __future__ import annotations
@@ -14,12 +14,18 @@ from numpy.typing import NDArray
 
 from .collide.detect import DetectOptions
 from .collide.mesh.triangle_mesh import TriangleMesh
+from .encounters import Pairs, Party
 from .errors import InputError
+from .force_control import Push
+from .groups import Group, group_patches
+from .motion.boxes import EVERYWHERE, grown, seen_boxes, swept_boxes
 from .motion.path import ToolPath
-from .patch import Patch, SourceFace, build_patch, mean_lengths
-from .scene import ModelSpec, Scene
+from .patch import Patch, RigidFace, SourceFace, build_patch, build_rigid_face, held_edges, mean_lengths
+from .scene import Scene, ToolSpec
 from .spline.surface import BSplineSurface
+from .substance import Substance
 from .tools.make import Tool, make_tool
+from .tools.surface import SurfaceTool
 from .units import metres_per_unit
 
 Array = NDArray[np.float64]
@@ -35,36 +41,52 @@ STILL = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceBody:
-    """The faces of one [[model]] that are to be sculpted."""
+    """The faces of one [[model]] that are to be sculpted, or met when it is rigid.
+
+    solids : marks of the solids of its file that they belong to; models that share one never meet each other.
+    """
 
     name: str
     faces: tuple[SourceFace, ...]
+    solids: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolBody:
-    """A tool of the scene with its path."""
+    """A tool of the scene with its path. patches : numbers of its patches in the model; none of a rigid one."""
 
     name: str
     tool: Tool
     path: ToolPath
+    patches: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
     """Everything immutable of a scene, in the scene's length unit L; forces in N, time in s.
 
+    bodies : names of the models, `models` of them, then of the tools: bodies are numbered in this order. patches : the faces
+    that have a lattice, of models first, then of deformable tools. rigid_faces : those of rigid models; a face's number is its
+    place among the patches, then among these. faces_of : per body the numbers of its faces, none of a rigid tool. free : bodies
+    that nothing holds. pairs : of bodies that may meet. groups : of patches that are integrated as one.
+
     step : length of one step of a run, s. steps : how many make a whole run. refit_threshold : nodes that moved less count
-    as not moved, L. size : diagonal of the sculpted faces' box, L. ball : a centre and a
-    radius, L, that hold these faces however they are sculpted. stride : how far a tool may move while the contacts
-    are those that were seen at the start, L.
+    as not moved, L. size : diagonal of the models' box, L. ball : a centre and a
+    radius, L, that hold the models however they are sculpted. stride : how far a tool may move while the contacts
+    are those that were seen at the start, L. pushes : the tools under force control, by their place in `tools`.
     """
 
     scene: Scene
     metres_per_unit: float
     bodies: tuple[str, ...]
+    models: int
     patches: tuple[Patch, ...]
+    rigid_faces: tuple[RigidFace, ...]
+    faces_of: tuple[tuple[int, ...], ...]
+    free: frozenset[int]
     tools: tuple[ToolBody, ...]
+    pairs: Pairs
+    groups: tuple[Group, ...]
     step: float
     steps: int
     options: DetectOptions
@@ -72,11 +94,31 @@ class Model:
     size: float
     ball: tuple[Array, float]
     stride: float
+    pushes: Mapping[int, Push]
 
     def step_length(self, step: int) -> float:
         """Length of step number `step` (from 0) in s; the last one ends where the longest path ends."""
         duration = max(tool.path.duration for tool in self.tools)
         return self.step if step < self.steps - 1 else max(duration - step * self.step, 1e-3 * self.step)
+
+    def face(self, number: int) -> Patch | RigidFace:
+        """A face by its number."""
+        count = len(self.patches)
+        return self.patches[number] if number < count else self.rigid_faces[number - count]
+
+    @property
+    def faces(self) -> tuple[Patch | RigidFace, ...]:
+        """All faces in the order of their numbers."""
+        return (*self.patches, *self.rigid_faces)
+
+    def tool_of(self, body: int) -> int | None:
+        """The place of a body among the tools; None for a model."""
+        return body - self.models if body >= self.models else None
+
+    @property
+    def moving(self) -> bool:
+        """Whether a body moves by itself, beside the material that tools press: one that is free, or deforms as a tool."""
+        return bool(self.free) or any(tool.patches for tool in self.tools)
 
 
 def build_model(
@@ -85,55 +127,200 @@ def build_model(
     paths: Mapping[str, ToolPath],
     tool_surfaces: Mapping[str, Sequence[BSplineSurface]] | None = None,
     tool_meshes: Mapping[str, TriangleMesh] | None = None,
+    tool_faces: Mapping[str, Sequence[SourceFace]] | None = None,
 ) -> Model:
     """Precompute a scene (paper section 4.1, "pre-processing phase").
 
-    Raises InputError or GeometryError naming the model, face or tool that cannot be used.
+    tool_surfaces : of rigid surface tools. tool_faces : of deformable ones, in the tool's frame. Raises InputError or
+    GeometryError naming the model, face or tool that cannot be used.
     """
     unit = metres_per_unit(scene.units)
     solver = scene.solver
-    for spec, body in zip(scene.model, bodies, strict=True):
-        if not body.faces:
-            raise InputError("no face to sculpt", where=f"model {spec.name!r}", mend="name at least one face")
-        if solver.quasi_static and spec.anchor == "none":
-            raise InputError(
-                "a quasi-static body that nothing holds", where=f"model {spec.name!r}", mend="give it an anchor"
-            )
-    faces = [
-        (spec, index, face, _spacing(spec, face))
-        for index, (spec, body) in enumerate(zip(scene.model, bodies, strict=True))
-        for face in body.faces
-    ]
-    finest = min(min(spacing) for *_, spacing in faces)
-    deepest = max(spec.thickness for spec in scene.model)
+    makings = _makings(scene, bodies, tool_faces or {}, paths)
+    spacings = [min(min(spacing) for spacing in making.spacings) for making in makings if making.substance is not None]
+    finest = min(spacings)
+    deepest = max(making.substance.thickness for making in makings if making.substance is not None)
     surfaces, meshes = tool_surfaces or {}, tool_meshes or {}
-    tools = tuple(
-        ToolBody(
-            spec.name,
-            make_tool(spec, finest, deepest, solver.resolution, surfaces.get(spec.name, ()), meshes.get(spec.name)),
-            paths[spec.name],
+    rigid = {
+        spec.name: make_tool(
+            spec, finest, deepest, solver.resolution, surfaces.get(spec.name, ()), meshes.get(spec.name)
         )
         for spec in scene.tool
+        if spec.material is None
+    }
+    models = len(bodies)
+    corners = [rigid[making.name].box_corners if making.name in rigid else making.corners() for making in makings]
+    boxes = [
+        making.reached(box[None]) if making.path is None else making.reached(swept_boxes(box, making.path))
+        for making, box in zip(makings, corners, strict=True)
+    ]
+    pairs = Pairs.between(
+        [
+            Party(making.name, k < models, making.substance is not None, making.solids, reached)
+            for k, (making, reached) in enumerate(zip(makings, boxes, strict=True))
+        ]
     )
-    swept = np.concatenate([swept_boxes(tool) for tool in tools])
-    patches = tuple(_built(scene, spec, index, face, spacing, swept, unit) for spec, index, face, spacing in faces)
-    points = np.concatenate([patch.surface.control_points.reshape(-1, 3) for patch in patches])
+    patches: list[Patch] = []
+    rigid_faces: list[RigidFace] = []
+    for k, making in enumerate(makings):
+        meets = [boxes[j] for j in range(len(makings)) if pairs.index(k, j) is not None]
+        swept = np.concatenate(meets) if meets else np.zeros((0, 2, 3))
+        if making.free:
+            swept = EVERYWHERE
+        elif making.path is not None and making.substance is not None:
+            swept = seen_boxes(swept, grown(corners[k][None], making.substance.thickness)[0], making.path)
+        made = making.built(scene, k, swept, unit)
+        patches += [face for face in made if isinstance(face, Patch)]
+        rigid_faces += [face for face in made if isinstance(face, RigidFace)]
+    everything: list[Patch | RigidFace] = [*patches, *rigid_faces]
+    faces_of = tuple(tuple(n for n, face in enumerate(everything) if face.body == k) for k in range(len(makings)))
+    tools = tuple(
+        ToolBody(spec.name, rigid[spec.name], paths[spec.name])
+        if spec.name in rigid
+        else ToolBody(
+            spec.name,
+            SurfaceTool(tuple(patches[i].grid for i in faces_of[k]), patches[faces_of[k][0]].lattice.thickness),
+            paths[spec.name],
+            faces_of[k],
+        )
+        for k, spec in enumerate(scene.tool, start=models)
+    )
+    free = frozenset(
+        k
+        for k, making in enumerate(makings)
+        if making.substance is not None and not any(patches[i].lattice.anchored.any() for i in faces_of[k])
+    )
+    for k in free:
+        if k >= models:
+            raise InputError(
+                "nothing of it is held", where=f"tool {makings[k].name!r}", mend="name a hold that its faces have"
+            )
+        if solver.quasi_static:
+            raise InputError(
+                "a quasi-static body that nothing holds", where=f"model {makings[k].name!r}", mend="give it an anchor"
+            )
+    points = np.concatenate(
+        [face.grid.surface.control_points.reshape(-1, 3) for face in everything if face.body < models]
+    )
     step = _step(scene, tools, finest, patches)
     duration = max(tool.path.duration for tool in tools)
     return Model(
         scene=scene,
         metres_per_unit=unit,
-        bodies=tuple(body.name for body in bodies),
-        patches=patches,
+        bodies=tuple(making.name for making in makings),
+        models=models,
+        patches=tuple(patches),
+        rigid_faces=tuple(rigid_faces),
+        faces_of=faces_of,
+        free=free,
         tools=tools,
+        pairs=pairs,
+        groups=group_patches(patches, pairs),
         step=step,
         steps=max(1, int(np.ceil(duration / step - 1e-9))),
         options=DetectOptions(mode=solver.mode, tolerance=solver.tolerance, delta=float(np.radians(solver.delta))),
         refit_threshold=STILL * scene.refit.tolerance,
         size=float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))),
         ball=(0.5 * (points.max(axis=0) + points.min(axis=0)), float(np.linalg.norm(np.ptp(points, axis=0)))),
-        stride=STRIDE * _smallest([spec.thickness for spec in scene.model], tools),
+        stride=STRIDE * _smallest([m.substance.thickness for m in makings if m.substance is not None], tools),
+        pushes={i: _push(spec, paths[spec.name]) for i, spec in enumerate(scene.tool) if spec.control == "force"},
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Making:
+    """A body on its way into the model. substance : None of a rigid one. path : None of a model. spacings : of the nodes
+    on each of its faces."""
+
+    name: str
+    faces: tuple[SourceFace, ...]
+    substance: Substance | None
+    spacings: tuple[tuple[float, float], ...]
+    solids: frozenset[str]
+    outward: bool | None
+    path: ToolPath | None
+
+    @property
+    def where(self) -> str:
+        return f"{'model' if self.path is None else 'tool'} {self.name!r}"
+
+    @property
+    def free(self) -> bool:
+        """Nothing holds it: it moves as a whole."""
+        if self.substance is None or self.path is not None or self.substance.anchor != "none":
+            return False
+        return not any(held_edges(self.substance, face, self.siblings(face)) for face in self.faces)
+
+    def siblings(self, face: SourceFace) -> frozenset[str]:
+        """The names of its other faces."""
+        return frozenset(other.name for other in self.faces if other is not face)
+
+    def corners(self) -> Array:
+        """The box (2, 3) of its control points, in its own frame."""
+        points = np.concatenate([face.surface.control_points.reshape(-1, 3) for face in self.faces])
+        return np.array([points.min(axis=0), points.max(axis=0)])
+
+    def reached(self, boxes: Array) -> Array:
+        """Boxes that hold it as it deforms, from those that hold it rigid."""
+        if self.substance is None:
+            return boxes
+        return EVERYWHERE if self.free else grown(boxes, self.substance.thickness)
+
+    def built(self, scene: Scene, body: int, swept: Array, unit: float) -> list[Patch | RigidFace]:
+        """Its faces, prepared. swept : see `build_patch`."""
+        made: list[Patch | RigidFace] = []
+        for n, face in enumerate(self.faces):
+            try:
+                if self.substance is None:
+                    made.append(build_rigid_face(scene, self.outward, body, face))
+                else:
+                    siblings = self.siblings(face)
+                    made.append(build_patch(scene, self.substance, body, face, self.spacings[n], swept, unit, siblings))
+            except InputError as error:
+                raise type(error)(error.what, where=f"{self.where}, face {face.name!r}", mend=error.mend) from None
+        return made
+
+
+def _makings(
+    scene: Scene,
+    bodies: Sequence[SourceBody],
+    tool_faces: Mapping[str, Sequence[SourceFace]],
+    paths: Mapping[str, ToolPath],
+) -> list[_Making]:
+    """All bodies of the scene in their order."""
+    made = []
+    for model, body in zip(scene.model, bodies, strict=True):
+        if not body.faces:
+            raise InputError("no face to sculpt", where=f"model {model.name!r}", mend="name at least one face")
+        substance = Substance.of_model(model)
+        made.append(
+            _Making(
+                model.name, body.faces, substance, _spacings(substance, body.faces), body.solids, model.outward, None
+            )
+        )
+    for tool in scene.tool:
+        faces, substance = tuple(tool_faces.get(tool.name, ())), Substance.of_tool(tool)
+        if substance is not None and not faces:
+            raise InputError(
+                "a surface tool without a surface",
+                where=f"tool {tool.name!r}",
+                mend="name a file with at least one face",
+            )
+        made.append(
+            _Making(tool.name, faces, substance, _spacings(substance, faces), frozenset(), None, paths[tool.name])
+        )
+    return made
+
+
+def _spacings(substance: Substance | None, faces: Sequence[SourceFace]) -> tuple[tuple[float, float], ...]:
+    return () if substance is None else tuple(_spacing(substance, face) for face in faces)
+
+
+def _push(spec: ToolSpec, path: ToolPath) -> Push:
+    try:
+        return Push.of(spec.force or 0.0, spec.direction, path)
+    except InputError as error:
+        raise InputError(error.what, where=f"tool {spec.name!r}", mend=error.mend) from None
 
 
 def _smallest(thicknesses: Sequence[float], tools: Sequence[ToolBody]) -> float:
@@ -142,46 +329,12 @@ def _smallest(thicknesses: Sequence[float], tools: Sequence[ToolBody]) -> float:
     return min([*thicknesses, *sizes])
 
 
-def _built(
-    scene: Scene,
-    spec: ModelSpec,
-    index: int,
-    face: SourceFace,
-    spacing: tuple[float, float],
-    swept: Array,
-    unit: float,
-) -> Patch:
-    try:
-        return build_patch(scene, spec, index, face, spacing, swept, unit)
-    except InputError as error:
-        raise type(error)(error.what, where=f"model {spec.name!r}, face {face.name!r}", mend=error.mend) from None
-
-
-def swept_boxes(tool: ToolBody, samples: int = 256) -> Array:
-    """Boxes (k, 2, 3) in the world that together hold the tool along its path."""
-    path = tool.path
-    times = np.unique(np.concatenate([path.t, np.linspace(path.t[0], path.t[-1], samples)]))
-    low, high = tool.tool.box_corners
-    if not np.isfinite([low, high]).all():
-        return np.array([[[-np.inf] * 3, [np.inf] * 3]])
-    centre, half = 0.5 * (low + high), 0.5 * (high - low)
-    boxes = []
-    for t in times:
-        pose = path.pose(float(t))
-        middle, reach = pose.to_world(centre), np.abs(pose.rotation) @ half
-        boxes.append([middle - reach, middle + reach])
-    ends = np.array(boxes)
-    # between two samples the tool is inside the box of both
-    joined = np.stack([np.minimum(ends[:-1, 0], ends[1:, 0]), np.maximum(ends[:-1, 1], ends[1:, 1])], axis=1)
-    return joined if len(joined) else ends
-
-
-def _spacing(spec: ModelSpec, face: SourceFace) -> tuple[float, float]:
+def _spacing(substance: Substance, face: SourceFace) -> tuple[float, float]:
     """Node spacing along u and v; numbers of nodes are spread over the face's mean lengths."""
-    if isinstance(spec.nodes, (int, float)):
-        return float(spec.nodes), float(spec.nodes)
+    if isinstance(substance.nodes, (int, float)):
+        return float(substance.nodes), float(substance.nodes)
     lengths = mean_lengths(face.surface)
-    return lengths[0] / (spec.nodes[0] - 1), lengths[1] / (spec.nodes[1] - 1)
+    return lengths[0] / (substance.nodes[0] - 1), lengths[1] / (substance.nodes[1] - 1)
 
 
 def _step(scene: Scene, tools: Sequence[ToolBody], spacing: float, patches: Sequence[Patch]) -> float:

@@ -9,17 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.detect import PatchGrid
+from .physics.contact_law import ContactLaw
 from .physics.explicit import stable_substep
-from .physics.forces import contact_damping, contact_stiffness
 from .physics.inward import inward_directions
 from .physics.lattice import Lattice, build_lattice
 from .physics.material import Material
 from .physics.node_grid import NodeGrid, node_grid
-from .scene import ModelSpec, Scene
+from .scene import Scene
 from .spline.refit import Refit, held_control_points
 from .spline.surface import BSplineSurface
 from .spline.trim import box as trim_box
 from .spline.trim import inside
+from .substance import Substance
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -55,12 +56,26 @@ class SourceFace:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patch:
-    """One sculpted face, prepared.
+class RigidFace:
+    """One face of a rigid model."""
 
-    source : the face as read. surface : the same shape over a net fine enough to take the dent; `grid` (collision), `lattice`
-    (physics) and `refit` are made for it. u, v : node parameters. held (r, s) : control points that never move.
-    contact_stiffness [N/L^3], contact_damping [N s/L^3], friction : of its material.
+    body: int
+    source: SourceFace
+    grid: PatchGrid
+
+    @property
+    def name(self) -> str:
+        return self.source.name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """One face of a deformable body, prepared; that of a tool in the tool's frame.
+
+    body : its number, models before tools. source : the face as read. surface : the same shape over a net fine enough to
+    take the dent; `grid` (collision), `lattice` (physics) and `refit` are made for it. u, v : node parameters.
+    held (r, s) : control points that never move. contact_stiffness [N/L^3], contact_damping [N s/L^3] : of its material
+    against something rigid.
     """
 
     body: int
@@ -73,9 +88,7 @@ class Patch:
     v: Array
     held: NDArray[np.bool_]
     material_nodes: NDArray[np.bool_]
-    material: Material
-    contact_stiffness: float
-    contact_damping: float
+    law: ContactLaw
     substep: float
     """The largest stable sub-step of the explicit integrator, contact included, in s."""
 
@@ -86,18 +99,20 @@ class Patch:
 
 def build_patch(
     scene: Scene,
-    spec: ModelSpec,
+    substance: Substance,
     body: int,
     face: SourceFace,
     spacing: tuple[float, float],
     swept: Array,
     unit: float,
+    siblings: frozenset[str] = frozenset(),
 ) -> Patch:
-    """Prepare one face. swept (k, 2, 3) : boxes that together hold every tool along its whole path.
+    """Prepare one face. swept (k, 2, 3) : boxes in the face's frame that together hold whatever may touch it, on its whole
+    way. siblings : names of the other faces of its body, to which it is tied where they meet.
 
-    Raises InputError or GeometryError naming the model and the face.
+    Raises InputError or GeometryError.
     """
-    source = face.surface if spec.outward is None else replace(face.surface, outward=spec.outward)
+    source = face.surface if substance.outward is None else replace(face.surface, outward=substance.outward)
     source.validate()
     window = node_window(source)
     reached = reached_window(source, window, max(spacing), swept) if scene.refit.refine else None
@@ -111,10 +126,10 @@ def build_patch(
         surface.normal(nodes.u[:, None], nodes.v),
         nodes.u,
         nodes.v,
-        thickness=spec.thickness,
+        thickness=substance.thickness,
         wrap=(nodes.wrap_u, nodes.wrap_v),
     )
-    material = scene.material_of(spec.material)
+    material = scene.material_of(substance.material)
     on_face = inside(
         surface,
         _cell_middles(nodes.u, surface, 0, wrap=nodes.wrap_u),
@@ -127,25 +142,26 @@ def build_patch(
         yield_strain=float("inf"),
         name="beyond the trims",
     )
-    materials, index = _zones(scene, spec, face, surface, nodes, [material, ghost])
-    thickness = spec.thickness
-    held_edges = [edge for edge in face.edges if edge.neighbours and spec.edges == "held" and not edge.seam]
+    materials, index = _zones(scene, substance, face, surface, nodes, [material, ghost])
+    thickness = substance.thickness
+    borders = held_edges(substance, face, siblings)
     lattice = build_lattice(
         points,
         inward,
         nodes.u,
         nodes.v,
         thickness=thickness,
-        layers=spec.layers,
+        layers=substance.layers,
         material=materials,
         cell_material=np.where(on_face, index, 1),
         wrap=(nodes.wrap_u, nodes.wrap_v),
         period=(surface.domain[0][1] - surface.domain[0][0], surface.domain[1][1] - surface.domain[1][0]),
-        anchored=_anchored(spec, face, nodes, held_edges),
+        anchored=_anchored(substance, face, nodes, borders),
         metres_per_unit=unit,
     )
-    held = _held(surface, nodes, face, held_edges)
-    stiffness = contact_stiffness(material, thickness, min(spacing), unit)
+    held = _held(surface, nodes, face, borders)
+    # what lies beyond the trims is touched as what lies beside it
+    law = ContactLaw(lattice, (material, material, *materials[2:]), min(spacing), scene.solver.max_penetration)
     return Patch(
         body=body,
         source=face,
@@ -157,21 +173,40 @@ def build_patch(
         v=nodes.v,
         held=held,
         material_nodes=_nodes_of_cells(on_face, wrap=(nodes.wrap_u, nodes.wrap_v)),
-        material=material,
-        contact_stiffness=stiffness,
-        contact_damping=contact_damping(material, stiffness, lattice),
+        law=law,
         substep=stable_substep(lattice),
     )
 
 
+def held_edges(substance: Substance, face: SourceFace, siblings: frozenset[str]) -> list[SourceEdge]:
+    """The edges of a face that stay where they are: those to faces that are not sculpted with it."""
+    if substance.edges == "free":
+        return []
+    return [
+        edge for edge in face.edges if edge.neighbours and not edge.seam and not siblings.issuperset(edge.neighbours)
+    ]
+
+
+def build_rigid_face(scene: Scene, outward: bool | None, body: int, face: SourceFace) -> RigidFace:
+    """Prepare a face of a rigid model for collision."""
+    surface = face.surface if outward is None else replace(face.surface, outward=outward)
+    surface.validate()
+    return RigidFace(body, face, PatchGrid.of(surface, scene.solver.resolution))
+
+
 def _zones(
-    scene: Scene, spec: ModelSpec, face: SourceFace, surface: BSplineSurface, nodes: NodeGrid, materials: list[Material]
+    scene: Scene,
+    substance: Substance,
+    face: SourceFace,
+    surface: BSplineSurface,
+    nodes: NodeGrid,
+    materials: list[Material],
 ) -> tuple[list[Material], NDArray[np.int64]]:
     """The zones' materials behind `materials`, and each cell's index among them: a cell belongs where its middle lies."""
     u = _cell_middles(nodes.u, surface, 0, wrap=nodes.wrap_u)
     v = _cell_middles(nodes.v, surface, 1, wrap=nodes.wrap_v)
     index = np.zeros((len(u), len(v)), dtype=np.int64)
-    for zone in spec.zones:
+    for zone in substance.zones:
         if zone.face is None or zone.face in (face.name, face.number):
             materials = [*materials, scene.material_of(zone.material)]
             index[_in_range(u, zone.u)[:, None] & _in_range(v, zone.v)[None, :]] = len(materials) - 1
@@ -295,7 +330,7 @@ def _dense(uv: Array, surface: BSplineSurface) -> Array:
     return np.concatenate([*parts, uv[-1:]])
 
 
-def _anchored(spec: ModelSpec, face: SourceFace, nodes: NodeGrid, held: Sequence[SourceEdge]) -> Mask:
+def _anchored(substance: Substance, face: SourceFace, nodes: NodeGrid, held: Sequence[SourceEdge]) -> Mask:
     """Nodes (nu, nv, layers + 1) that stay where they are; layer 0 is the surface."""
     shape = (len(nodes.u), len(nodes.v))
     through = np.zeros(shape, dtype=np.bool_)  # anchored through the whole thickness
@@ -303,16 +338,16 @@ def _anchored(spec: ModelSpec, face: SourceFace, nodes: NodeGrid, held: Sequence
     for edge in held:
         through |= _crossed(edge.uv, nodes)
     names: set[str] = set()
-    if not isinstance(spec.anchor, str):
-        for item in spec.anchor:
+    if not isinstance(substance.anchor, str):
+        for item in substance.anchor:
             if isinstance(item, str):
                 names.add(item)
             elif item.face is None or item.face in (face.name, face.number):
                 through |= _in_range(nodes.u, item.u)[:, None] & _in_range(nodes.v, item.v)[None, :]
     for edge in face.edges:
-        if not edge.seam and (spec.anchor == "edges" or names.intersection(edge.neighbours)):
+        if not edge.seam and (substance.anchor == "edges" or names.intersection(edge.neighbours)):
             through |= _crossed(edge.uv, nodes)
-    if spec.anchor == "edges":
+    if substance.anchor == "edges":
         for axis in (0, 1):
             if not wrap[axis]:
                 border = (slice(None),) * axis + ([0, -1],)
@@ -320,10 +355,10 @@ def _anchored(spec: ModelSpec, face: SourceFace, nodes: NodeGrid, held: Sequence
     # a window cut out of the surface ends in material that goes on
     for axis in (0, 1):
         for end, index in ((0, 0), (1, -1)):
-            if nodes.window[axis][end] != nodes.surface.domain[axis][end]:
+            if substance.anchor != "none" and nodes.window[axis][end] != nodes.surface.domain[axis][end]:
                 through[(slice(None),) * axis + (index,)] = True
-    anchored = np.repeat(through[:, :, None], spec.layers + 1, axis=2)
-    if spec.anchor == "base":
+    anchored = np.repeat(through[:, :, None], substance.layers + 1, axis=2)
+    if substance.anchor == "base":
         anchored[:, :, -1] = True
     return anchored
 

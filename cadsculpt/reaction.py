@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +32,12 @@ class Reaction:
 
 @dataclass(slots=True, eq=False)
 class StepActs:
-    """What acts during one step of dt seconds: the tools' impulses over its pieces, and of each pair of a body and a
-    tool the contacts of the piece in which the overlap was deepest."""
+    """What acts during one step of dt seconds: the tools' impulses over its pieces, and of each pair of bodies the contacts
+    of the piece in which the overlap was deepest. first : the number of the first tool among the bodies."""
 
     tools: int
     dt: float
+    first: int = 0
     contacts: Contacts = field(default_factory=Contacts.none)
     forces: Array = field(default_factory=lambda: np.zeros((0, 3)))
     depths: Array = field(default_factory=lambda: np.zeros(0))
@@ -49,6 +50,13 @@ class StepActs:
     def __post_init__(self) -> None:
         self.force, self.torque, self.greatest = (np.zeros((self.tools, 3)) for _ in range(3))
 
+    def copy(self) -> StepActs:
+        """The same, to go on from apart."""
+        other = replace(self, seconds=dict(self.seconds))
+        other.force, other.torque, other.greatest = self.force.copy(), self.torque.copy(), self.greatest.copy()
+        other._deepest = dict(self._deepest)
+        return other
+
     def add(
         self,
         contacts: Contacts,
@@ -59,15 +67,16 @@ class StepActs:
         dt: float,
         metre: float,
     ) -> Mask:
-        """A piece of dt seconds: mean forces (n, 3) on the model at its contacts, and depths (n,) at its end. Returns which
+        """A piece of dt seconds: mean forces (n, 3) on the bodies a at its contacts, and depths (n,) at its end. Returns which
         contacts act: those that press, or are overlapped at the end."""
         self.greatest[:, 2] = 0.0
         for index in range(self.tools):
-            mine = contacts.b == index
+            mine = contacts.b == self.first + index
+            self._push(index, contacts.point[mine], -forces[mine], before[index], after[index], dt, metre)
+            if len(own := np.flatnonzero(contacts.a == self.first + index)) and self.first:
+                self._push(index, contacts.point[own], forces[own], before[index], after[index], dt, metre)
+                mine[own] = True
             touching = mine & (contacts.depth > 0)
-            arm = contacts.point[mine] - 0.5 * (before[index].at + after[index].at)
-            self.force[index] -= forces[mine].sum(axis=0) * (dt / self.dt)
-            self.torque[index] -= np.cross(arm, forces[mine]).sum(axis=0) * metre * (dt / self.dt)
             area, depth = float(contacts.area[touching].sum()), float(contacts.depth[touching].max(initial=0.0))
             self.greatest[index, :2] = np.maximum(self.greatest[index, :2], (area, depth))
             self.greatest[index, 2] = depths[mine].max(initial=0.0)
@@ -75,8 +84,14 @@ class StepActs:
         self._keep(contacts.chosen(acting), forces[acting], depths[acting])
         return acting
 
+    def _push(self, tool: int, point: Array, force: Array, before: Pose, after: Pose, dt: float, metre: float) -> None:
+        """Forces (n, 3) on a tool at points (n, 3), for dt seconds."""
+        arm = point - 0.5 * (before.at + after.at)
+        self.force[tool] += force.sum(axis=0) * (dt / self.dt)
+        self.torque[tool] += np.cross(arm, force).sum(axis=0) * metre * (dt / self.dt)
+
     def _keep(self, contacts: Contacts, forces: Array, depths: Array) -> None:
-        """Of each pair of a body and a tool, the piece in which the overlap was deepest."""
+        """Of each pair of bodies, the piece in which the overlap was deepest."""
         fresh, kept = np.zeros(len(contacts), np.bool_), np.ones(len(self.contacts), np.bool_)
         for pair in {(int(a), int(b)) for a, b in zip(contacts.a, contacts.b, strict=True)}:
             mine = (contacts.a == pair[0]) & (contacts.b == pair[1])

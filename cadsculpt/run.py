@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from .collide.certified.body import GridCache
 from .collide.certified.proximity import separation
-from .collide.detect import SurfaceTool
 from .errors import InputError, SimulationError
-from .expect import Expectation, evaluate, pair_indices
+from .expect import Expectation, evaluate, pair_index
+from .force_control import FORCE_TOLERANCE
 from .frames import FrameMaker
 from .history import History, Summary
 from .model import Model
@@ -61,7 +61,7 @@ class Hooks:
 
 @dataclass(slots=True)
 class _Clearance:
-    """Which pairs' distance the expectations ask for, and the smallest so far: (bodies, tools)."""
+    """Which pairs' distance the expectations ask for, and the smallest so far: (pairs,)."""
 
     wanted: NDArray[np.bool_]
     smallest: Array
@@ -69,36 +69,34 @@ class _Clearance:
 
     @classmethod
     def of(cls, model: Model, history: History) -> _Clearance:
-        wanted = np.zeros((len(model.bodies), len(model.tools)), dtype=np.bool_)
+        wanted = np.zeros(len(model.pairs), dtype=np.bool_)
         for spec in model.scene.expect:
+            pair = pair_index(spec, model)
             if spec.what == "clearance":
-                body, tool = pair_indices(spec, model)
-                wanted[slice(None) if body is None else body, slice(None) if tool is None else tool] = True
+                wanted[slice(None) if pair is None else pair] = True
         before = np.where(np.isnan(history.clearance), np.inf, history.clearance)
         return cls(wanted, before.min(axis=0, initial=np.inf))
 
     def measure(self, session: Session) -> Array:
-        """Certified lower bounds of the distances asked for, NaN elsewhere: (bodies, tools). One that is not the smallest
+        """Certified lower bounds of the distances asked for, NaN elsewhere: (pairs,). One that is not the smallest
         so far is only known to be above it."""
-        model, state = session.model, session.state
+        model = session.model
         distance = np.full(self.wanted.shape, np.nan)
-        for body, tool in np.argwhere(self.wanted):
-            placed = model.tools[tool].tool.placed(state.poses[tool])
-            mine = [i for i, patch in enumerate(model.patches) if patch.body == body]
-            part = SurfaceTool(tuple(model.patches[i].grid for i in mine), tuple(state.control_points[i] for i in mine))
-            least, tolerance = float(self.smallest[body, tool]), model.options.tolerance or None
+        for pair in np.flatnonzero(self.wanted):
+            part, placed = session.placed(int(model.pairs.a[pair])), session.placed(int(model.pairs.b[pair]))
+            least, tolerance = float(self.smallest[pair]), model.options.tolerance or None
             found = separation(part, placed, tolerance=tolerance, threshold=min(least, model.size), cache=self.cache)
             if found.low <= least:
                 # never more clearance than is certain
                 found = separation(part, placed, tolerance=tolerance, cache=self.cache)
-                self.smallest[body, tool] = min(least, found.low)
-            distance[body, tool] = found.low
+                self.smallest[pair] = min(least, found.low)
+            distance[pair] = found.low
         return distance
 
 
 @dataclass(slots=True, eq=False)
 class _Farthest:
-    """How far the surfaces have moved from their rest shape, on the grids that collision uses."""
+    """How far the models' surfaces have moved from their rest shape, on the grids that collision uses."""
 
     rest: list[Array]
     _net: list[Array | None] = field(default_factory=list)
@@ -108,6 +106,8 @@ class _Farthest:
         result = 0.0
         self._net = self._net or [None] * len(self.rest)
         for i, (patch, rest) in enumerate(zip(session.model.patches, self.rest, strict=True)):
+            if patch.body >= session.model.models:
+                continue
             net = session.state.control_points[i]
             seen = self._net[i]
             if seen is not None and np.array_equal(net, seen):
@@ -139,7 +139,7 @@ def run(
     hooks = hooks or Hooks(on_frame=on_frame)
     session = source if isinstance(source, Session) else Session(source)
     model = session.model
-    history = History.empty(len(model.bodies), len(model.tools))
+    history = History.empty(len(model.pairs))
     if resume is not None:
         session.restore(resume)
         history = History.of_arrays(resume)
@@ -160,8 +160,15 @@ def run(
             history.touched = np.array(session.state.touched)
             break
         state = session.state
+        contacts = session.contacts
         history.add(
-            state.time, session.contacts, session.forces, session.depths, clearance.measure(session), state.touched
+            state.time,
+            model.pairs.places(contacts.a, contacts.b),
+            contacts,
+            session.forces,
+            session.depths,
+            clearance.measure(session),
+            state.touched,
         )
         history.max_displacement = max(history.max_displacement, farthest.moved(session))
         if hooks.on_step:
@@ -195,17 +202,24 @@ def run(
 
 
 def refuse_tools_inside(session: Session) -> None:
-    """Raise InputError when a tool starts deeper in a part than the scene lets it stay."""
+    """Raise InputError when a body starts deeper in another than the scene lets it stay."""
     model = session.model
     contacts = session.detect().contacts
     if len(contacts) and contacts.depth.max() > model.scene.solver.max_penetration:
         worst = int(np.argmax(contacts.depth))
-        tool, body = model.tools[int(contacts.b[worst])].name, model.bodies[int(contacts.a[worst])]
+        first, second = int(contacts.a[worst]), int(contacts.b[worst])
+        tool = second >= model.models
+        one, other = (second, first) if tool else (first, second)
         raise InputError(
-            f"the tool {tool!r} starts inside the part {body!r}, {contacts.depth[worst]:.4g} {model.scene.units} deep",
+            f"{named(model, one)} starts inside {named(model, other)}, {contacts.depth[worst]:.4g} {model.scene.units} deep",
             where=model.scene.name,
-            mend="let its path start outside",
+            mend="let its path start outside" if tool else "move one of the two in its file",
         )
+
+
+def named(model: Model, body: int) -> str:
+    """A body in words: "the tool 'thumb'"."""
+    return f"the {'part' if body < model.models else 'tool'} {model.bodies[body]!r}"
 
 
 def summarise(session: Session, history: History) -> Summary:
@@ -227,9 +241,9 @@ def _warnings(session: Session, history: History, summary: Summary) -> list[str]
     model = session.model
     unit = model.scene.units
     lines = []
-    for (body, tool), depth in sorted(session.undecided.items()):
+    for (body, other), depth in sorted(session.undecided.items()):
         lines.append(
-            f"the tool {model.tools[tool].name!r} came so near the part {model.bodies[body]!r} between its grid's vertices "
+            f"{named(model, other)} came so near {named(model, body)} between its grid's vertices "
             f"that a contact up to {depth:.3g} {unit} deep may have been missed (raise solver.resolution or solver.tolerance)"
         )
     limit = model.scene.solver.max_penetration
@@ -238,6 +252,13 @@ def _warnings(session: Session, history: History, summary: Summary) -> list[str]
         lines.append(
             f"{steps}: residual penetration up to {worst:.3g} {unit}, above max_penetration {limit:.3g} {unit}"
         )
+    for tool, push in model.pushes.items():
+        met = history.greatest("force", model.pairs.of(model.models + tool))
+        if 0.0 < met < (1.0 - 2.0 * FORCE_TOLERANCE) * push.force:
+            lines.append(
+                f"the tool {model.tools[tool].name!r} met at most {met:.4g} N of its {push.force:g} N: its path ends, or turns "
+                "back, before the material resists with more"
+            )
     if summary.refit_max_error > model.scene.refit.tolerance:
         lines.append(
             f"the refit surfaces are up to {summary.refit_max_error:.3g} {unit} away from their nodes, "

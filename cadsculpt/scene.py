@@ -64,16 +64,35 @@ class Zone(FaceBox):
     material: Text = Field(description="name of the zone's material")
 
 
+MATERIAL_KEYS = ("thickness", "nodes", "layers", "anchor", "edges", "material", "zones")
+"""What a model of material has, and a rigid one does not."""
+
+NEEDED_KEYS = ("thickness", "nodes", "material")
+
+
+def _material_unless_rigid(schema: dict[str, Any]) -> None:
+    """Tells editors that a rigid model needs no material."""
+    schema["if"] = {"properties": {"rigid": {"const": True}}, "required": ["rigid"]}
+    schema["else"] = {"required": list(NEEDED_KEYS)}
+
+
 class ModelSpec(Spec):
-    """A part whose faces are sculpted."""
+    """A part whose faces are sculpted, or a rigid one that deformable tools and models meet."""
+
+    model_config = ConfigDict(json_schema_extra=_material_unless_rigid)
 
     name: Name = Field(description="the model's name, unlike any other in the scene")
     file: Text = Field(description="its CAD file, seen from the scene's folder")
     faces: Faces = Field(
         default="all", description='"all", or a list of names and numbers; other faces stay as they are'
     )
-    thickness: Positive = Field(description="how deep the material goes below the surface")
-    nodes: Spacing = Field(description="spacing of the lattice's nodes, or how many [nu, nv] on each face")
+    rigid: Flag = Field(
+        default=False, description="true when it keeps its shape: it has no material, and nothing of it is sculpted"
+    )
+    thickness: Positive | None = Field(default=None, description="how deep the material goes below the surface")
+    nodes: Spacing | None = Field(
+        default=None, description="spacing of the lattice's nodes, or how many [nu, nv] on each face"
+    )
     layers: Count = Field(default=3, description="cells of the lattice through the thickness")
     anchor: Anchor = Field(
         default="base", description='what is held: "base", "edges", "none", or a list of faces and {face, u, v}'
@@ -81,11 +100,22 @@ class ModelSpec(Spec):
     edges: Literal["held", "free"] = Field(
         default="held", description="a sculpted face where it meets faces that are not"
     )
-    material: Text = Field(description="a preset, or the name of a [material.NAME] table")
+    material: Text | None = Field(default=None, description="a preset, or the name of a [material.NAME] table")
     zones: tuple[Zone, ...] = Field(default=(), description="regions of other materials")
     outward: Flag | None = Field(
         default=None, description="true when S_u x S_v points out of the material, as the file says when left out"
     )
+
+    @classmethod
+    def faults(cls, given: Mapping[str, Any]) -> Iterator[Fault]:
+        if given.get("rigid") is True:
+            for key in MATERIAL_KEYS:
+                if given.get(key) not in (None, cls.model_fields[key].default):
+                    yield Fault((key,), f"{key} belongs to a model of material (leave out rigid, or {key})")
+            return
+        for key in NEEDED_KEYS:
+            if given.get(key) is None:
+                yield Fault((key,), f"{key} is missing ({cls.model_fields[key].description})")
 
 
 def _preset_or_numbers(schema: dict[str, Any]) -> None:
@@ -158,6 +188,12 @@ class SolverSpec(Spec):
         step, substep = given.get("step"), given.get("substep")
         if is_number(step) and is_number(substep) and substep > step > 0:
             yield Fault(("substep",), f"substep must be at most step {shown(step)}, not {shown(substep)}")
+        tolerance, left = given.get("tolerance"), given.get("max_penetration")
+        if is_number(tolerance) and is_number(left) and 0 < left < tolerance:
+            yield Fault(
+                ("max_penetration",),
+                f"max_penetration {shown(left)} cannot be seen with tolerance {shown(tolerance)} (make tolerance smaller)",
+            )
         if given.get("quasi_static") is True and given.get("integrator") != "implicit":
             yield Fault(("quasi_static",), 'quasi_static needs integrator = "implicit"')
 
@@ -264,7 +300,8 @@ class Scene(Spec):
     def _fill_lengths(cls, given: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         """Lengths of solver and refit that were left out, from the one length that every scene knows."""
         scene = handler(given)
-        thickness = min(model.thickness for model in scene.model)
+        given_lengths = [model.thickness for model in scene.model] + [tool.thickness for tool in scene.tool]
+        thickness = min(length for length in given_lengths if length is not None)
         if scene.solver.tolerance is None or scene.solver.max_penetration is None:
             lengths = {
                 "tolerance": scene.solver.tolerance or thickness / 300.0,
@@ -285,11 +322,20 @@ class Scene(Spec):
                     if name in names:
                         yield Fault((kind, i, "name"), f"name {shown(name)} is taken (every body has its own)")
                     names.append(name)
+        if not any(_may_deform(given)):
+            yield Fault(("model",), "nothing deforms (leave out rigid, or give a surface tool a material)")
         tables = given.get("material")
         materials = dict.fromkeys([*(tables if isinstance(tables, dict) else ()), *PRESETS])
         for place, material in _materials_named(given):
             if isinstance(material, str) and material not in materials:
                 yield Fault(place, f"material {shown(material)} is not known {mend(material, materials)}")
+        if any(read(tool, "control") == "force" for tool in entries(given, "tool")):
+            for i, model in enumerate(entries(given, "model")):
+                if read(model, "anchor") == "none":
+                    yield Fault(
+                        ("model", i, "anchor"),
+                        'nothing holds it against the tools under control = "force" (use "base")',
+                    )
         for i, expect in enumerate(entries(given, "expect")):
             pair = read(expect, "pair")
             if not isinstance(pair, (list, tuple)) or len(pair) != 2 or not {"model", "tool"} <= set(given):
@@ -299,6 +345,14 @@ class Scene(Spec):
                     yield Fault(("expect", i, "pair", j), f"pair names {shown(name)}, no body {mend(name, names)}")
             if pair[0] == pair[1]:
                 yield Fault(("expect", i, "pair"), "pair names one body twice")
+
+
+def _may_deform(given: Mapping[str, Any]) -> Iterator[bool]:
+    """Per body whether it is, or may be meant to be, of material."""
+    models, tools = entries(given, "model"), entries(given, "tool")
+    yield from (read(model, "rigid") is not True for model in models)
+    yield from (read(tool, "material") is not None for tool in tools)
+    yield not models
 
 
 def _materials_named(given: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], Any]]:

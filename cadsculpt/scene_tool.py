@@ -200,6 +200,9 @@ class ToolSpec(ShapeSpec, NamedTool):
     force: Positive | None = Field(
         default=None, description='N along the direction of the path, with control = "force"'
     )
+    direction: Vector | None = Field(
+        default=None, description="where the force points, when not along the tool's way to its path: [x, y, z]"
+    )
     path: (
         Annotated[
             Annotated[Text, Tag(WORD)] | Annotated[tuple[PathRow, ...], Field(min_length=1), Tag(LIST)],
@@ -216,8 +219,11 @@ class ToolSpec(ShapeSpec, NamedTool):
         yield from super().faults(given)
         if given.get("control") == "force" and "force" not in given:
             yield Fault(("control",), 'force is missing (control = "force" needs the force in N)')
-        if "force" in given and given.get("control", "position") == "position":
-            yield Fault(("force",), 'force needs control = "force"')
+        for key in ("force", "direction"):
+            if key in given and given.get("control", "position") == "position":
+                yield Fault((key,), f'{key} needs control = "force"')
+        if given.get("direction") in ([0, 0, 0], (0, 0, 0)):
+            yield Fault(("direction",), "direction has no length (write where the force points, [0, 0, -1] say)")
         yield from _path_faults(entries(given, "path"))
         path = given.get("path")
         if given.get("path_options") is not None and not (
@@ -245,6 +251,8 @@ def _size_faults(shape: str, given: Mapping[str, Any]) -> Iterator[Fault]:
         for key in DEFORMABLE_KEYS:
             if given.get(key) is not None:
                 yield Fault((key,), f"{key} belongs to a deformable tool (give it a material)")
+    if given.get("hold") == "none":
+        yield Fault(("hold",), 'hold "none" leaves the tool without a hold (use base, edges, or a list of faces)')
     yield from _rounding_faults(shape, given)
     major, minor = given.get("major_radius"), given.get("minor_radius")
     if shape == "torus" and is_number(major) and is_number(minor) and 0 < major <= minor:

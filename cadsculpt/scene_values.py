@@ -108,7 +108,7 @@ PartShape = Literal[
     "sphere", "ellipsoid", "capsule", "cylinder", "cone", "box", "torus", "superquadric", "half_space", "formula",
     "union", "intersection", "difference",
 ]  # fmt: skip
-Preset = Literal["clay", "foam", "rubber", "sheet steel", "aluminium"]
+Preset = Literal["clay", "foam", "rubber", "flesh", "sheet steel", "aluminium"]
 Verdict = Literal["clear", "contact", "undecided", "touching", "piercing", "contained"]
 CadFormat = Literal["step", "iges", "3dm", "json"]
 

@@ -1,7 +1,10 @@
 """The heart: one `Session` steps a model under moving tools (paper section 4.1, run-time phase).
 
-Each step: collide with the tools where they are, let the contact forces and the lattice act for dt while the tools move,
+Each step: collide the bodies where they are, let the contact forces and the lattices act for dt while the tools move,
 refit the control points to the moved nodes. Nothing here prints, reads a clock or touches a file.
+
+Lattices live in the world's frame. The net of a deformable tool is kept in the tool's own frame, and fitted there; that of a
+body that nothing holds is fitted in the frame of its nearest rigid motion, so that moving as a whole deforms nothing.
 """
 
 from __future__ import annotations
@@ -14,19 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.contacts import Contacts
-from .collide.detect import Counters, DetectCache, Detection, DetectOptions, Undecided, detect
+from .collide.detect import Counters, DetectCache, Detection, DetectOptions, SurfaceTool, Undecided, detect
+from .collide.query import FieldTool, PointTool
+from .encounters import Pairs
 from .errors import InputError, SimulationError
+from .force_control import PushMemory, find_poses
+from .groups import Group, group_patches
+from .lattices import Lattices
 from .lookahead import Lookahead
 from .model import Model
 from .motion.motion import Motion
 from .motion.pose import Pose
-from .physics.explicit import ContactLoad, LatticeState, StepForces, advance
-from .physics.forces import node_weights
-from .physics.implicit import advance_implicit
-from .physics.lattice import Lattice
+from .motion.rigid_fit import nearest_pose
+from .patch import Patch
+from .physics.explicit import LatticeState
 from .reaction import Reaction, StepActs
 from .spline.refit import RefitError
 from .spline.surface import BSplineSurface
+from .tools import surface as tools
 
 Array = NDArray[np.float64]
 
@@ -34,14 +42,24 @@ Array = NDArray[np.float64]
 MOST_PIECES = 10000
 """A step in which tools in contact move so far that it would take more pieces is refused: it is a mistake in the scene."""
 
+TURN = 0.05
+"""Radians that a deformable tool turns in one piece of a step: what is held moves along chords, which shortens it meanwhile by
+an eighth of the square, 3e-4."""
+
+QUIET = 0.1
+"""Share of the stride that bodies may move by themselves where the way ahead of the tools is looked at, which takes their
+shapes as they are."""
+
 _LATTICE_STATE = ("x", "velocity", "rest_length")
 
 
 @dataclass(slots=True, eq=False)
 class State:
-    """Everything that changes: time [s], tool poses, and per patch the lattice and the control points.
+    """Everything that changes: time [s], tool poses, per group of patches its lattice, and per patch the control points.
 
-    touched (bodies, tools) : when each pair touched first [s]; NaN where it has not.
+    lattices : in the world. control_points : in the world, of a deformable tool in its own frame.
+    touched (pairs,) : when each of the model's pairs touched first [s]; NaN where it has not.
+    pushes : of tools under force control.
     """
 
     time: float
@@ -50,6 +68,17 @@ class State:
     lattices: list[LatticeState]
     control_points: list[Array]
     touched: Array
+    pushes: PushMemory
+
+    def copy(self) -> State:
+        """A state of its own with the same values. (Control points are not written to, only replaced.)"""
+        return replace(
+            self,
+            poses=list(self.poses),
+            lattices=[lattice.copy() for lattice in self.lattices],
+            control_points=list(self.control_points),
+            touched=self.touched.copy(),
+        )
 
 
 class Buildable(Protocol):
@@ -62,11 +91,11 @@ class Buildable(Protocol):
 class Session:
     """A simulation in progress.
 
-    source : a `Model`, or a scene that builds one. After `step`, `contacts` and `forces` (n, 3) [N, on the model] hold
+    source : a `Model`, or a scene that builds one. After `step`, `contacts` and `forces` (n, 3) [N, on the bodies a] hold
     the contacts that acted during it, `depths` (n,) how deep they are at its end (in the deepest piece of a step that
-    continuous collision cuts). `clock`, a timer in seconds, fills `timing`
-    with the seconds that each phase of each step took. `undecided` : per body and tool, how deep a contact may have been
-    that was not found (see `query.Undecided`); empty as a rule.
+    continuous collision cuts). `clock`, a timer in seconds, fills `timing` with the seconds that each phase of each step
+    took. `undecided` : per pair of bodies, how deep a contact may have been that was not found (see `query.Undecided`); empty
+    as a rule.
     """
 
     source: Model | Buildable
@@ -80,21 +109,24 @@ class Session:
     undecided: dict[tuple[int, int], float] = field(init=False)
     timing: dict[str, list[float]] = field(init=False)
     lookahead: Lookahead = field(init=False)
-    _caches: list[DetectCache] = field(init=False)
+    _pairs: Pairs = field(init=False)
+    _lattices: Lattices = field(init=False)
+    _caches: dict[int, DetectCache] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self.model = self.source if isinstance(self.source, Model) else self.source.build()
         model = self.model
+        self._pairs, self._lattices = model.pairs, Lattices(model, model.groups)
         self.state = State(
             time=0.0,
             step=0,
             poses=[tool.path.pose(0.0) for tool in model.tools],
-            lattices=[LatticeState.at_rest(patch.lattice) for patch in model.patches],
+            lattices=self._lattices.at_rest(),
             control_points=[patch.surface.control_points.copy() for patch in model.patches],
-            touched=np.full((len(model.bodies), len(model.tools)), np.nan),
+            touched=np.full(len(model.pairs), np.nan),
+            pushes=PushMemory.of(len(model.tools)),
         )
         self.lookahead = Lookahead(model)
-        self._caches = [DetectCache() for _ in model.bodies]
         self.contacts, self.forces, self.depths = Contacts.none(), np.zeros((0, 3)), np.zeros(0)
         self.counters = Counters()
         self.undecided = {}
@@ -113,7 +145,8 @@ class Session:
             raise InputError(f"a step of {dt} s", mend="a step takes a positive time")
         given, start, before = dict(poses or {}), state.time, state.poses
         self._refuse_unknown(given)
-        acts = StepActs(len(model.tools), dt)
+        self._let_roam(given)
+        acts = StepActs(len(model.tools), dt, model.models)
         for time in self._stops(given, start, dt):
             after = [
                 given[tool.name] if time == start + dt and tool.name in given
@@ -121,7 +154,11 @@ class Session:
                 else tool.path.pose(time)
                 for i, tool in enumerate(model.tools)
             ]  # fmt: skip
-            self._follow(after, time, acts)
+            if model.pushes:
+                acts = self._push(after, time, acts)
+            else:
+                self._follow(after, time, acts)
+        state = self.state
         state.time, state.step = start + dt, state.step + 1
         for phase, seconds in acts.seconds.items():
             self.timing[phase].append(seconds)
@@ -144,6 +181,25 @@ class Session:
             travel, here = travel + self._margin(here, there), there
         return stops if travel > self.model.stride else [end]
 
+    def _push(self, targets: list[Pose], end: float, acts: StepActs) -> StepActs:
+        """Move the tools towards `targets`, those under force control as far as their force takes them. Returns `acts` with
+        what acted meanwhile."""
+        start, undecided, share = self.state, dict(self.undecided), acts.dt / (end - self.state.time)
+        done = acts
+
+        def trial(poses: list[Pose]) -> Array:
+            nonlocal done
+            self.state, self.undecided, done = start.copy(), dict(undecided), acts.copy()
+            self._follow(poses, end, done)
+            return (done.force - acts.force) * share
+
+        try:
+            find_poses(self.model.pushes, start.pushes, start.poses, targets, end - start.time, trial)
+        except SimulationError:
+            self.state = start
+            raise
+        return done
+
     def _follow(self, after: list[Pose], end: float, acts: StepActs) -> None:
         """Move the tools to `after`, in one piece where that is no farther than `Model.stride`.
 
@@ -152,7 +208,8 @@ class Session:
         """
         state = self.state
         for _ in range(MOST_PIECES):
-            travel = self._margin(state.poses, after)
+            own = self._own_way(state.poses, after, end - state.time)
+            travel = max(self._margin(state.poses, after) + own, self._turned(state.poses, after))
             if travel <= self.model.stride:
                 self._piece(after, end, acts)
                 return
@@ -160,10 +217,15 @@ class Session:
             motions = [Motion.between(a, b) for a, b in zip(state.poses, after, strict=True)]
             stride = self.model.stride / travel
             # inside the material there is no surface to meet: what is in contact is watched
-            touching = len(self.detect(state.poses).contacts) > 0
-            free = 0.0 if touching else self.lookahead.free(state.control_points, state.control_points, motions)
+            watched = own > QUIET * self.model.stride or len(self.detect(state.poses).contacts) > 0
+            nets = state.control_points
+            free = 0.0 if watched else self.lookahead.free(nets, nets, motions)
             acts.seconds["collide"] += self._tick() - tick
-            if free > stride and self._free_piece(motions, free, after, end, acts):
+            if (
+                free > stride
+                and not self._turned(state.poses, after)
+                and self._free_piece(motions, free, after, end, acts)
+            ):
                 if free == 1.0:
                     return
                 continue
@@ -193,21 +255,21 @@ class Session:
         return True
 
     def _piece(self, after: list[Pose], end: float, acts: StepActs, *, watched: bool = True) -> None:
-        """Collide with the tools where they are, let contact forces and lattices act until they are at `after`, refit."""
+        """Collide the bodies where they are, let contact forces and lattices act until the tools are at `after`, refit."""
         state, before, dt = self.state, self.state.poses, end - self.state.time
         tick = self._tick()
-        contacts = self.detect(before, self._margin(before, after)).contacts if watched else Contacts.none()
+        margin = self._margin(before, after) + self._own_way(before, after, dt)
+        contacts = self.detect(before, margin).contacts if watched else Contacts.none()
         collided = self._tick()
         try:
-            forces, depths = self._advance(contacts, _tool_velocities(contacts, before, after, dt), dt)
+            forces, depths = self._lattices.advance(state.lattices, contacts, before, after, dt, state.step + 1)
         except SimulationError:
             self._note_touched(contacts, before, after, dt, certain=False)
             raise
         advanced = self._tick()
         acting = acts.add(contacts, forces, depths, before, after, dt, self.model.metres_per_unit)
         self._note_touched(contacts.chosen(acting), before, after, dt)
-        for index in range(len(self.model.patches)):
-            self._refit(index)
+        self._refit(after)
         refitted = self._tick()
         for phase, seconds in (
             ("collide", collided - tick),
@@ -223,58 +285,102 @@ class Session:
         """When the pairs of these contacts met that had not touched before; the nets are still those of the start. Where
         the tools alone do not meet a body at rest, they met at the end, if they are certain to have met at all."""
         state = self.state
-        for body, tool in sorted({(int(a), int(b)) for a, b in zip(contacts.a, contacts.b, strict=True)}):
-            if np.isnan(state.touched[body, tool]):
-                motion = Motion.between(before[tool], after[tool])
-                share = self.lookahead.meeting(state.control_points, motion, body, tool)
+        pairs = self.model.pairs
+        for pair in np.unique(pairs.places(contacts.a, contacts.b)).tolist():
+            if np.isnan(state.touched[pair]):
+                motions = [Motion.between(a, b) for a, b in zip(before, after, strict=True)]
+                share = self.lookahead.meeting(state.control_points, motions, int(pairs.a[pair]), int(pairs.b[pair]))
                 if share is not None or certain:
-                    state.touched[body, tool] = state.time + dt * (1.0 if share is None else share)
+                    state.touched[pair] = state.time + dt * (1.0 if share is None else share)
 
     def detect(self, poses: list[Pose] | None = None, margin: float = 0.0) -> Detection:
-        """Contacts of all models with all tools at these poses (default: where they are), depth >= -margin."""
+        """Contacts of all bodies that may meet, with the tools at these poses (default: where they are), depth >= -margin."""
         model, state = self.model, self.state
-        placed = [tool.tool.placed(pose) for tool, pose in zip(model.tools, poses or state.poses, strict=True)]
+        poses = state.poses if poses is None else poses
         options = model.options
         options = DetectOptions(mode=options.mode, tolerance=options.tolerance, delta=options.delta, margin=margin)
-        parts, undecided = [], list[Undecided]()
+        parts, undecided = list[tuple[Contacts, Detection]](), list[Undecided]()
+        placed: dict[int, FieldTool | PointTool | SurfaceTool] = {}
         for body in range(len(model.bodies)):
-            index = [i for i, patch in enumerate(model.patches) if patch.body == body]
+            others = self._pairs.others(body)
+            if not others:
+                continue
+            for other in others:
+                if other not in placed:
+                    placed[other] = self.placed(other, poses)
+            faces = model.faces_of[body]
             found = detect(
-                [model.patches[i].grid for i in index],
-                [state.control_points[i] for i in index],
-                placed,
+                [model.face(i).grid for i in faces],
+                self.nets(body, poses),
+                [placed[other] for other in others],
                 options,
                 body=body,
-                cache=self._caches[body],
+                cache=self._caches.setdefault(body, DetectCache()),
             )
             self.counters.add(found.counters)
             for lack in found.undecided:
-                pair = body, lack.tool
+                pair = body, others[lack.tool]
                 self.undecided[pair] = max(self.undecided.get(pair, 0.0), lack.depth)
-            undecided += found.undecided
-            parts.append((found.contacts.with_faces(np.array(index, dtype=np.int64)), found))
+                undecided.append(replace(lack, tool=pair[1]))
+            contacts = replace(
+                found.contacts, face=np.array(faces)[found.contacts.face], b=np.array(others)[found.contacts.b]
+            )
+            parts.append((contacts, found))
         if len(parts) == 1:
             return Detection(parts[0][0], parts[0][1].counters, undecided=tuple(undecided))
         joined = Contacts.joined([contacts for contacts, _ in parts])
-        return Detection(joined, parts[-1][1].counters, undecided=tuple(undecided))
+        return Detection(joined, parts[-1][1].counters if parts else Counters(), undecided=tuple(undecided))
+
+    def nets(self, body: int, poses: list[Pose] | None = None) -> list[Array]:
+        """The control points in the world of a body's faces, with the tools at these poses."""
+        model, tool = self.model, self.model.tool_of(body)
+        count = len(model.patches)
+        if tool is not None:
+            pose = (self.state.poses if poses is None else poses)[tool]
+            return [pose.to_world(self.state.control_points[i]) for i in model.faces_of[body]]
+        return [
+            self.state.control_points[i] if i < count else model.face(i).grid.surface.control_points
+            for i in model.faces_of[body]
+        ]
+
+    def placed(self, body: int, poses: list[Pose] | None = None) -> FieldTool | PointTool | SurfaceTool:
+        """A body in the world as the other side of contacts, with the tools at these poses."""
+        model, index = self.model, self.model.tool_of(body)
+        if index is None:
+            faces = [model.face(i) for i in model.faces_of[body]]
+            reach = max((face.lattice.thickness for face in faces if isinstance(face, Patch)), default=0.0)
+            return SurfaceTool(tuple(face.grid for face in faces), tuple(self.nets(body, poses)), reach)
+        tool, pose = model.tools[index], (self.state.poses if poses is None else poses)[index]
+        if isinstance(tool.tool, tools.SurfaceTool):
+            return tool.tool.placed(pose, [self.state.control_points[i] for i in tool.patches] or None)
+        return tool.tool.placed(pose)
 
     # ----------------------------------------------------------------- read
 
     def surface(self, patch: int) -> BSplineSurface:
-        """The patch as it is now, over its refined net."""
+        """The patch as it is now, over its refined net; that of a tool in the tool's frame."""
         return self.model.patches[patch].surface.with_control_points(self.state.control_points[patch])
 
+    def lattice(self, patch: int) -> LatticeState:
+        """The lattice of a patch as it is now, in the world: views into that of its group."""
+        group, state = self._of(patch)
+        return group.state_of(state, patch)
+
     def displacement(self, patch: int) -> Array:
-        """How far the surface nodes of a patch have moved: (nu, nv, 3)."""
-        lattice = self.model.patches[patch].lattice
-        nu, nv, nl = lattice.shape
-        return (self.state.lattices[patch].x - lattice.nodes).reshape(nu, nv, nl, 3)[:, :, 0]
+        """How far the surface nodes of a patch have moved, a tool's in the tool's frame: (nu, nv, 3)."""
+        body = self.model.patches[patch].body
+        return self._moved(patch, self._lattices.frames(self.state.poses).get(body))
 
     def refit_error(self, patch: int) -> RefitError:
         """Distance between the surface nodes that are material and the refit surface."""
         prepared = self.model.patches[patch]
-        delta = self.state.control_points[patch] - prepared.surface.control_points
-        return prepared.refit.error(self.displacement(patch), delta, prepared.material_nodes)
+        frame = self._frames(self.state.poses).get(prepared.body)
+        net = self.state.control_points[patch]
+        if frame is not None and prepared.body in self.model.free:
+            net = frame.to_tool(net)
+        return prepared.refit.error(
+            self._moved(patch, frame), net - prepared.surface.control_points, prepared.material_nodes
+        )
 
     # ----------------------------------------------------------- checkpoint
 
@@ -288,8 +394,10 @@ class Session:
             "undecided": np.array([(*pair, depth) for pair, depth in sorted(self.undecided.items())]).reshape(-1, 3),
             "pose_at": np.array([pose.at for pose in state.poses]),
             "pose_rotation": np.array([pose.rotation for pose in state.poses]),
+            **state.pushes.arrays(),
         }
-        for i, (lattice, net) in enumerate(zip(state.lattices, state.control_points, strict=True)):
+        of_patch = self._lattices.of_patches(state.lattices)
+        for i, (lattice, net) in enumerate(zip(of_patch, state.control_points, strict=True)):
             arrays[f"net_{i}"] = net
             for name in _LATTICE_STATE:
                 arrays[f"lattice_{i}_{name}"] = np.asarray(getattr(lattice, name))
@@ -297,91 +405,47 @@ class Session:
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
         """Go back to a state that `arrays` gave. Raises InputError when it is not one of this model."""
+        patches = self.model.patches
         try:
-            state = State(
-                time=float(arrays["time"]),
-                step=int(arrays["step"]),
-                poses=[Pose(a, r) for a, r in zip(arrays["pose_at"], arrays["pose_rotation"], strict=True)],
-                lattices=[
-                    replace(
-                        LatticeState.at_rest(patch.lattice),
-                        **{name: np.array(arrays[f"lattice_{i}_{name}"]) for name in _LATTICE_STATE},
-                    )
-                    for i, patch in enumerate(self.model.patches)
-                ],
-                control_points=[np.array(arrays[f"net_{i}"]) for i in range(len(self.model.patches))],
-                touched=np.array(arrays["touched"]),
-            )
+            lattices = [
+                LatticeState(*(np.array(arrays[f"lattice_{i}_{name}"]) for name in _LATTICE_STATE))
+                for i in range(len(patches))
+            ]
+            nets = [np.array(arrays[f"net_{i}"]) for i in range(len(patches))]
+            touched = np.array(arrays["touched"])
+            poses = [Pose(a, r) for a, r in zip(arrays["pose_at"], arrays["pose_rotation"], strict=True)]
+            time, step, pushes = float(arrays["time"]), int(arrays["step"]), PushMemory.of_arrays(arrays)
         except KeyError as error:
             raise InputError(f"the checkpoint lacks {error}", mend="start the run again with --force") from None
-        shapes = [net.shape for net in state.control_points], [lattice.x.shape for lattice in state.lattices]
-        mine = (
-            [p.surface.control_points.shape for p in self.model.patches],
-            [p.lattice.nodes.shape for p in self.model.patches],
-        )
-        if shapes != mine or len(state.poses) != len(self.model.tools):
+        shapes = [net.shape for net in nets], [lattice.x.shape for lattice in lattices]
+        mine = [p.surface.control_points.shape for p in patches], [p.lattice.nodes.shape for p in patches]
+        if shapes != mine or len(poses) != len(self.model.tools) or touched.shape != self.state.touched.shape:
             raise InputError("the checkpoint belongs to another scene", mend="start the run again with --force")
         self.undecided = {(int(a), int(b)): float(depth) for a, b, depth in arrays.get("undecided", ())}
-        self.state = state
+        self.state = State(time, step, poses, self._lattices.joined(lattices), nets, touched, pushes)
 
     # -------------------------------------------------------------- internals
 
     def _tick(self) -> float:
         return self.clock() if self.clock is not None else 0.0
 
-    def _advance(self, contacts: Contacts, velocity: Array, dt: float) -> tuple[Array, Array]:
-        """Lattices under the contact forces for dt: mean forces (n, 3) on the model and depths (n,) at the end."""
-        model, state = self.model, self.state
-        forces = np.zeros((len(contacts), 3))
-        depths = np.array(contacts.depth)
-        # a lattice that fails is left as it was; those before it are put back
-        before = [
-            (lattice.x.copy(), lattice.velocity.copy(), lattice.rest_length.copy()) for lattice in state.lattices[:-1]
-        ]
-        for index, patch in enumerate(model.patches):
-            mine = np.flatnonzero(contacts.face == index)
-            load = None
-            if not len(mine) and self._at_rest(index):
-                continue  # nothing to integrate, however long the step
-            if len(mine):
-                nodes, weights = node_weights(patch.lattice, contacts.u[mine], contacts.v[mine])
-                load = ContactLoad(
-                    nodes=nodes,
-                    weights=weights,
-                    normal=contacts.normal[mine],
-                    depth=contacts.depth[mine],
-                    area=contacts.area[mine],
-                    velocity=velocity[mine],
-                    stiffness=np.full(len(mine), patch.contact_stiffness),
-                    damping=np.full(len(mine), patch.contact_damping),
-                    friction=np.full(len(mine), patch.material.friction),
-                )
-            try:
-                result = self._integrate(patch.lattice, state.lattices[index], load, dt)
-            except SimulationError as error:
-                for lattice, kept in zip(state.lattices, before, strict=False):
-                    lattice.x, lattice.velocity, lattice.rest_length = kept
-                where = f"step {state.step + 1}, face {patch.name!r}"
-                raise SimulationError(error.what, where=where, mend=error.mend) from None
-            forces[mine], depths[mine] = result.mean_force, result.depth
-        return forces, depths
-
-    def _at_rest(self, index: int) -> bool:
-        """A lattice as it was built, on which nothing acts: it stays as it is. (A sub-step that the scene forces is not
-        left unchecked until something acts.)"""
-        lattice, state = self.model.patches[index].lattice, self.state.lattices[index]
-        return (
-            self.model.scene.solver.substep is None
-            and not state.velocity.any()
-            and np.array_equal(state.x, lattice.nodes)
-            and np.array_equal(state.rest_length, lattice.rest_length)
+    def _of(self, patch: int) -> tuple[Group, LatticeState]:
+        """The group of a patch, and its state."""
+        return next(
+            (group, state)
+            for group, state in zip(self._lattices.groups, self.state.lattices, strict=True)
+            if patch in group.patches
         )
 
-    def _integrate(self, lattice: Lattice, state: LatticeState, load: ContactLoad | None, dt: float) -> StepForces:
-        solver = self.model.scene.solver
-        if solver.integrator == "explicit":
-            return advance(lattice, state, load, dt, substep=solver.substep)
-        return advance_implicit(lattice, state, load, dt, quasi_static=solver.quasi_static, substep=solver.substep)
+    def _let_roam(self, given: Mapping[str, Pose]) -> None:
+        """A deformable tool that a program moves may go anywhere, not only where its path does: what it may meet is integrated
+        together with it."""
+        for body, tool in enumerate(self.model.tools, start=self.model.models):
+            pairs = self._pairs.roaming(body) if tool.patches and tool.name in given else self._pairs
+            if (pairs.meet != self._pairs.meet).any():
+                self._pairs = pairs
+                groups = group_patches(self.model.patches, pairs)
+                self.state.lattices = self._lattices.regrouped(self.state.lattices, groups)
 
     def _refuse_unknown(self, poses: Mapping[str, Pose]) -> None:
         names = [tool.name for tool in self.model.tools]
@@ -403,22 +467,52 @@ class Session:
             margin = max(margin, float(np.linalg.norm(b.at - a.at)) + reach * turn)
         return margin
 
-    def _refit(self, index: int) -> None:
+    def _own_way(self, before: list[Pose], after: list[Pose], dt: float) -> float:
+        """How far bodies move by themselves in dt seconds, as fast as they are now: what pushes them faster within the time
+        is not in it."""
+        return 2.0 * dt * self._lattices.own_speed(self.state.lattices, before, after, dt)
+
+    def _turned(self, before: list[Pose], after: list[Pose]) -> float:
+        """How far that of the deformable tools has to go that turns the most, when TURN is a stride; 0 for less than that."""
+        turns = [
+            Motion.between(a, b).angle
+            for tool, a, b in zip(self.model.tools, before, after, strict=True)
+            if tool.patches
+        ]
+        most = max(turns, default=0.0)
+        return most / TURN * self.model.stride if most > TURN else 0.0
+
+    def _moved(self, patch: int, frame: Pose | None) -> Array:
+        """The displacements (nu, nv, 3) of the surface nodes of a patch, in a frame where there is one."""
+        lattice = self.model.patches[patch].lattice
+        nu, nv, nl = lattice.shape
+        x, rest = (nodes.reshape(nu, nv, nl, 3)[:, :, 0] for nodes in (self.lattice(patch).x, lattice.nodes))
+        return (x if frame is None else frame.to_tool(x)) - rest
+
+    def _frames(self, poses: list[Pose]) -> dict[int, Pose]:
+        """The frames of the bodies that have their own: a tool's pose, and the nearest rigid motion of a body that nothing
+        holds, once it has moved."""
+        frames = self._lattices.frames(poses)
+        for body in sorted(self.model.free):
+            mine = self.model.faces_of[body]
+            rest = np.concatenate([self.model.patches[i].lattice.nodes for i in mine])
+            x = np.concatenate([self.lattice(i).x for i in mine])
+            if np.abs(x - rest).max() > self.model.refit_threshold:
+                mass = np.concatenate([self.model.patches[i].lattice.mass for i in mine])
+                frames[body] = nearest_pose(rest, x, mass)
+        return frames
+
+    def _refit(self, poses: list[Pose]) -> None:
         """Control points from the moved nodes (paper eq. 3)."""
-        patch = self.model.patches[index]
-        delta = patch.refit.fit(self.displacement(index), self.model.refit_threshold)
-        rest = patch.surface.control_points
-        net = np.where(delta == 0.0, rest, rest + delta)
-        if not np.array_equal(net, self.state.control_points[index]):
-            # read-only: the broad phase takes the same array for the same net
-            net.flags.writeable = False
-            self.state.control_points[index] = net
-
-
-def _tool_velocities(contacts: Contacts, before: list[Pose], after: list[Pose], dt: float) -> Array:
-    """Mean velocity (n, 3) over the step of the tool's material at each contact."""
-    velocity = np.zeros((len(contacts), 3))
-    for index, (a, b) in enumerate(zip(before, after, strict=True)):
-        mine = contacts.b == index
-        velocity[mine] = (b.to_world(a.to_tool(contacts.point[mine])) - contacts.point[mine]) / dt
-    return velocity
+        frames = self._frames(poses)
+        for index, patch in enumerate(self.model.patches):
+            frame = frames.get(patch.body)
+            delta = patch.refit.fit(self._moved(index, frame), self.model.refit_threshold)
+            rest = patch.surface.control_points
+            net = np.where(delta == 0.0, rest, rest + delta)
+            if frame is not None and patch.body in self.model.free:
+                net = frame.to_world(net)
+            if not np.array_equal(net, self.state.control_points[index]):
+                # read-only: the broad phase takes the same array for the same net
+                net.flags.writeable = False
+                self.state.control_points[index] = net

@@ -32,7 +32,8 @@ LOW = {"point": -0.1, "sphere": 2.9, "surface": -0.1, "mesh": -0.1}
 
 def kinds_of(scene: Scene) -> list[str]:
     """The kinds of tools, for which there are different kernels, that a scene has."""
-    return sorted({tool.shape if tool.shape in LOW else "sphere" for tool in scene.tool})
+    kinds = {tool.shape if tool.shape in LOW else "sphere" for tool in scene.tool}
+    return sorted(kinds | {"surface"} if len(scene.model) > 1 else kinds)
 
 
 def warm_up(scene: Scene, beside: Callable[[], object] = lambda: None) -> None:
@@ -61,9 +62,10 @@ def warm_beside(kinds: Sequence[str], integrator: str) -> None:
     _warm_lattice(integrator)
     session = _session(kinds, "certified", integrator)
     nets = session.state.control_points
-    for index, pose in enumerate(session.state.poses):
-        above = Pose(pose.at + np.array([0.0, 0.0, 1.0]), pose.rotation)
-        session.lookahead.meeting(nets, Motion.between(above, pose), 0, index)
+    above = [Pose(pose.at + np.array([0.0, 0.0, 1.0]), pose.rotation) for pose in session.state.poses]
+    motions = [Motion.between(a, b) for a, b in zip(above, session.state.poses, strict=True)]
+    for body in range(1, len(session.model.bodies)):
+        session.lookahead.meeting(nets, motions, 0, body)
 
 
 def warm_collision_beside() -> None:

@@ -69,7 +69,7 @@ class _Table:
 class ContactsWriter(_Table):
     """contacts.csv, appended to step by step.
 
-    bodies, tools, faces : the names that the numbers Contacts.a, .b and .face stand for.
+    bodies, faces : the names that the numbers Contacts.a and .b, and .face stand for.
     """
 
     def __init__(
@@ -77,11 +77,9 @@ class ContactsWriter(_Table):
         path: str | os.PathLike[str],
         bodies: Sequence[str],
         faces: Sequence[str],
-        tools: Sequence[str],
     ) -> None:
         self._bodies = tuple(bodies)
         self._faces = tuple(faces)
-        self._tools = tuple(tools)
         super().__init__(path, CONTACT_COLUMNS)
 
     def add(self, record: ContactRecord) -> None:
@@ -89,7 +87,7 @@ class ContactsWriter(_Table):
         contacts = record.contacts
         names = (
             [self._bodies[body] for body in contacts.a.tolist()],
-            [self._tools[tool] for tool in contacts.b.tolist()],
+            [self._bodies[body] for body in contacts.b.tolist()],
             [self._faces[face] for face in contacts.face.tolist()],
         )
         numbers = np.column_stack(

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from ..collide.mesh.triangle_mesh import TriangleMesh
+from ..encounters import together
 from ..errors import CadsculptError, GeometryError, InputError
 from ..model import Model, SourceBody, build_model
 from ..motion.path import ToolPath
 from ..patch import SourceEdge, SourceFace
-from ..scene import ModelSpec, ToolSpec
+from ..scene import ToolSpec
 from ..session import Session
 from ..spline.refine import insert_knots, missing_knots
 from ..spline.surface import BSplineSurface
@@ -27,7 +28,7 @@ from .scene_toml import SceneFile
 class Loaded:
     """A scene with its files read.
 
-    parts : the CAD files, by resolved path; faces : for each of the model's patches its part's path and face number.
+    parts : the CAD files of models, by resolved path; faces : for each of the models' patches its part's path and face number.
     warnings : what the readers had to say.
     """
 
@@ -43,7 +44,7 @@ class Loaded:
         Control points that the session did not move keep the bits of the file.
         """
         to_mm = conversion(self.scene.units, "mm")
-        result: dict[Path, dict[int, BSplineSurface]] = {path: {} for path in self.parts}
+        result: dict[Path, dict[int, BSplineSurface]] = {path: {} for path, _ in self.faces}
         for index, (path, number) in enumerate(self.faces):
             patch = session.model.patches[index]
             read = self.parts[path].faces.number(number).surface
@@ -71,7 +72,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
             warnings.extend(f"{path.name}: {line}" for line in parts[path].warnings)
         return path, parts[path]
 
-    bodies, faces = [], []
+    bodies, faces, used = list[SourceBody](), list[tuple[Path, int]](), list[tuple[Path, int]]()
     for index, spec in enumerate(scene.model):
         path, part = part_of(spec.file)
         try:
@@ -82,16 +83,25 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
                 where=scene.where("model", index, "faces"),
                 mend=error.mend,
             ) from None
-        taken = [face.name for face in chosen if (path, face.number) in faces]
+        taken = [face.name for face in chosen if (path, face.number) in used]
         if taken:
             raise InputError(
                 f"face {taken[0]!r} of {path.name} belongs to two models",
                 where=f"model {spec.name!r}",
                 mend="name each face once",
             )
-        bodies.append(SourceBody(spec.name, tuple(_source_face(spec, part, face, scene.units) for face in chosen)))
-        faces += [(path, face.number) for face in chosen]
-    surfaces = {spec.name: _tool_surfaces(spec, scene, part_of) for spec in scene.tool if spec.shape == "surface"}
+        solid = _solids(part)
+        bodies.append(
+            SourceBody(
+                spec.name,
+                tuple(_source_face(part, face, scene.units) for face in chosen),
+                frozenset(f"{path}#{solid[face.number]}" for face in chosen),
+            )
+        )
+        used += [(path, face.number) for face in chosen]
+        if not spec.rigid:
+            faces += [(path, face.number) for face in chosen]
+    tool_faces = {spec.name: _tool_faces(spec, scene, part_of) for spec in scene.tool if spec.shape == "surface"}
     meshes: dict[str, TriangleMesh] = {}
     for tool in scene.tool:
         if tool.shape == "mesh" and tool.file is not None:
@@ -101,14 +111,25 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
             meshes[tool.name] = _tool_mesh(tool, file, scene.units)
             warnings += [f"{file.name}: {line}" for line in meshes[tool.name].warnings]
     paths = {spec.name: _path(scene, spec.name) for spec in scene.tool}
-    model = build_model(scene, bodies, paths, surfaces, meshes)
-    models = {path for path, _ in faces}
+    rigid = {
+        spec.name: [face.surface for face in tool_faces[spec.name]] for spec in scene.tool if spec.name in tool_faces
+    }
+    model = build_model(scene, bodies, paths, rigid, meshes, tool_faces)
+    models = {path for path, _ in used}
     return Loaded(
         scene, model, {path: part for path, part in parts.items() if path in models}, tuple(faces), tuple(warnings)
     )
 
 
-def _source_face(spec: ModelSpec, part: Part, face: Face, units: str) -> SourceFace:
+def _solids(part: Part) -> dict[int, int]:
+    """Per face the lowest number of those that it hangs together with over common edges."""
+    numbers = [face.number for face in part.faces]
+    place = {number: k for k, number in enumerate(numbers)}
+    edges = [(place[face.number], place[n]) for face in part.faces for edge in face.edges for n in edge.neighbours]
+    return {numbers[k]: numbers[group[0]] for group in together(len(numbers), edges) for k in group}
+
+
+def _source_face(part: Part, face: Face, units: str) -> SourceFace:
     try:
         surface = face.surface.scaled(conversion("mm", units))
     except CadsculptError as error:
@@ -122,14 +143,11 @@ def _source_face(spec: ModelSpec, part: Part, face: Face, units: str) -> SourceF
     return SourceFace(face.number, face.name, surface, edges)
 
 
-def _tool_surfaces(
-    spec: ToolSpec, scene: SceneFile, part_of: Callable[[str], tuple[Path, Part]]
-) -> list[BSplineSurface]:
+def _tool_faces(spec: ToolSpec, scene: SceneFile, part_of: Callable[[str], tuple[Path, Part]]) -> list[SourceFace]:
     if spec.file is None:
         raise InputError("a surface tool needs a file", where=f"tool {spec.name!r}", mend='write file = "..."')
     _, part = part_of(spec.file)
-    factor = conversion("mm", scene.units)
-    return [face.surface.scaled(factor) for face in part.faces.select(spec.faces or "all")]
+    return [_source_face(part, face, scene.units) for face in part.faces.select(spec.faces or "all")]
 
 
 def _tool_mesh(spec: ToolSpec, file: Path, units: str) -> TriangleMesh:

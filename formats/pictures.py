@@ -37,6 +37,7 @@ PICTURE_FOLDER = "pictures"
 CAPTIONS = {
     "part": "The part after the run, coloured by how far it moved along its normal",
     "dent": "The dent from near",
+    "deepest": "The dent when it was deepest",
     "pressure": "Contact pressure when it was highest",
     "film": "The whole run",
 }
@@ -46,6 +47,9 @@ TIME_LIMIT = 120.0
 """Seconds that one call of `draw` may take."""
 
 MOST_FILM_FRAMES = 90
+
+SPRUNG_BACK = 0.7
+"""A dent of which less than this share is left at the end is shown at its deepest, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,14 +173,24 @@ def _run(folder: Path, time_limit: float) -> str:
 
 
 def run_pictures(folder: str | os.PathLike[str], frames: Sequence[Frame | FrameMesh]) -> list[Picture]:
-    """The pictures that a run puts into its folder: the part and the dent at the end, the pressure at its highest."""
+    """The pictures that a run puts into its folder: the part and the dent at the end, the dent at its deepest where
+    the material has sprung back since, and the pressure at its highest."""
     into = Path(folder) / PICTURE_FOLDER
     pictures = [Picture(into / "part.png"), Picture(into / "dent.png", view="dent")]
+    moved = [_moved(frame) for frame in frames]
+    if any(moved) and moved[-1] < SPRUNG_BACK * max(moved):
+        pictures.append(Picture(into / "deepest.png", frame=int(np.argmax(moved)), view="dent"))
     load = [_load(frame) for frame in frames]
     if any(load):
         highest = int(np.argmax(load))
         pictures.append(Picture(into / "pressure.png", frame=highest, what="pressure", view="dent"))
     return pictures
+
+
+def _moved(frame: Frame | FrameMesh) -> float:
+    """The largest displacement of any surface."""
+    parts = [frame.displacement] if isinstance(frame, FrameMesh) else [patch.displacement for patch in frame.patches]
+    return max((float(np.linalg.norm(part, axis=-1).max(initial=0.0)) for part in parts), default=0.0)
 
 
 def _load(frame: Frame | FrameMesh) -> float:

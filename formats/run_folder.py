@@ -334,12 +334,9 @@ class _Writing:
         self.stepped = True
         self._spool()
         model = self.loaded.model
-        names = [*model.bodies]
         tools = [tool.name for tool in model.tools]
         with (
-            ContactsWriter(
-                self.folder / "contacts.csv", names, [patch.name for patch in model.patches], tools
-            ) as contacts,
+            ContactsWriter(self.folder / "contacts.csv", model.bodies, [face.name for face in model.faces]) as contacts,
             ForcesWriter(self.folder / "forces.csv", tools) as forces,
         ):
             for piece in range(self._saved):
@@ -378,7 +375,7 @@ class _Writing:
                 self.files.append(stem + SUFFIX[format])
             warnings += [f"{path.name}: {line}" for line in part.warnings[before:]]
             nets += [surface for _, surface in sorted(surfaces.items())]
-        if "json" in self.loaded.scene.output.cad:
+        if "json" in self.loaded.scene.output.cad and nets:
             patch_json.write_surfaces(self.folder / "surfaces.json", nets, "mm")
             self.files.append("surfaces.json")
         return warnings

@@ -29,7 +29,7 @@ LENGTHS = (
     "radius", "radii", "length", "height", "size", "rounding", "major_radius", "minor_radius", "box",
     "thickness", "at",
 )  # fmt: skip
-MOTION = ("path", "path_options", "control", "force", "use")
+MOTION = ("path", "path_options", "control", "force", "direction", "use")
 
 
 def _less_motion(schema: dict[str, Any]) -> None:

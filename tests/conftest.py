@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -24,3 +26,14 @@ def corpus() -> Path:
     if not path.is_dir():
         pytest.fail(f"CADSCULPT_CORPUS names no folder: {path}")
     return path
+
+
+@pytest.fixture(scope="module")
+def part():
+    """A module of benchmarks/ by its name."""
+    benchmarks = Path(__file__).parents[1] / "benchmarks"
+    sys.path.insert(0, str(benchmarks))
+    try:
+        yield importlib.import_module
+    finally:
+        sys.path.remove(str(benchmarks))

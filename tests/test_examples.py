@@ -93,6 +93,55 @@ def test_the_stylus_touches_at_fourteen_places(runs):
     np.testing.assert_allclose(contacts.point[first], on_surface, atol=0.3)
 
 
+def test_the_weight_sinks_as_a_ball_on_a_bonded_layer_does(runs):
+    # Dimitriadis et al. 2002, Biophys. J. 82, eq. 13, with nu = 1/4
+    modulus, nu, radius, height = 1e5, 0.25, 12e-3, 12e-3
+    alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu)
+    beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
+
+    def carried(sunk: float) -> float:
+        x = np.sqrt(radius * sunk) / height / np.pi
+        layer = 1 - 2 * alpha * x + 4 * (alpha * x) ** 2 - 8 * (alpha**3 + 4 * np.pi**2 / 15 * beta) * x**3
+        layer += 16 * alpha * (alpha**3 + 3 * np.pi**2 / 5 * beta) * x**4
+        return 4 / 3 * modulus / (1 - nu**2) * np.sqrt(radius) * sunk**1.5 * layer
+
+    folder, outcome = runs["weight"]
+    forces = read_forces(folder / "forces.csv")
+    at_rest = (forces.time > 0.15) & (forces.time < 0.2)
+    np.testing.assert_allclose(forces.force[at_rest, 2], 1.0, rtol=0.01)
+    assert carried(1e-3 * outcome.result.summary.max_displacement) == pytest.approx(1.0, rel=0.1)
+    # foam is elastic: nothing is left of it
+    assert np.abs(outcome.result.session.displacement(0)).max() < 0.02
+
+
+def test_forces_on_two_materials_are_as_their_moduli(runs):
+    folder, _ = runs["two_materials"]
+    forces = read_forces(folder / "forces.csv")
+    at_rest = (forces.time > 0.085) & (forces.time < 0.0995)
+    names = np.array(forces.tool)
+    soft, hard = (forces.force[at_rest & (names == f"on the {name}"), 2].mean() for name in ("cushion", "rubber"))
+    assert hard / soft == pytest.approx(10.0, rel=0.01)
+
+
+def test_the_sheet_keeps_the_spiral_but_for_its_spring_back(runs):
+    folder, outcome = runs["sheet_forming"]
+    here = EXAMPLES / "sheet_forming"
+    spiral = np.loadtxt(here / "spiral.csv", delimiter=",", skiprows=1)[1:-2]
+    sheet = registry.read(folder / "surfaces.step").faces[0].surface
+    was = registry.read(here / "sheet.step").faces[0].surface
+    # parameters are mm from the corner
+    place = spiral[:, 1:3] + 24.0
+    height = sheet.evaluate(place[:, 0], place[:, 1])[:, 2]
+    above = height - (spiral[:, 3] - 6.0)
+    # later turns pull along what earlier ones pressed
+    assert above[len(above) // 2 :].max() < 0.2
+    assert height.min() > -2.0 - 0.05
+    border = np.linspace(0.0, 48.0, 25)
+    np.testing.assert_allclose(sheet.evaluate(border, 0 * border), was.evaluate(border, 0 * border), atol=1e-9)
+    # the metal has flowed, so that most stays
+    assert -height.min() > 0.8 * outcome.result.summary.max_displacement
+
+
 def test_result_json_and_hashes(runs):
     import hashlib
 

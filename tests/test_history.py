@@ -21,39 +21,42 @@ def contacts(a: list[int], b: list[int], depth: list[float], area: list[float]) 
 
 @pytest.fixture
 def history() -> History:
-    history = History.empty(1, 2)
-    nothing = np.full((1, 2), np.nan)
-    history.add(0.1, Contacts.none(), np.zeros((0, 3)), np.zeros(0), np.array([[3.0, np.nan]]), nothing)
+    history = History.empty(2)
+    nothing = np.full(2, np.nan)
+    none = np.zeros(0, np.int64)
+    history.add(0.1, none, Contacts.none(), np.zeros((0, 3)), np.zeros(0), np.array([3.0, np.nan]), nothing)
     history.add(
         0.2,
+        np.array([0, 0, 1]),
         contacts([0, 0, 0], [0, 0, 1], [0.1, 0.3, -0.2], [1.0, 2.0, 5.0]),
         np.array([[0, 0, -3.0], [0, 4.0, 0], [0, 0, 0]]),
         np.array([0.05, 0.2, -0.1]),
-        np.array([[0.0, np.nan]]),
-        np.array([[0.15, np.nan]]),
+        np.array([0.0, np.nan]),
+        np.array([0.15, np.nan]),
     )
     history.add(
         0.3,
+        np.array([1]),
         contacts([0], [1], [0.4], [2.5]),
         np.array([[0, 0, -1.0]]),
         np.array([0.6]),
         nothing,
-        np.array([[0.15, 0.25]]),
+        np.array([0.15, 0.25]),
     )
     return history
 
 
 def test_values_per_pair(history):
     assert history.first_contact() == 0.15
-    assert history.first_contact(0, 0) == 0.15
-    assert history.first_contact(0, 1) == 0.25
-    assert History.empty(1, 2).first_contact(0, 1) is None
-    assert history.greatest("force", 0, 0) == 5.0
-    assert history.greatest("depth", 0, 0) == 0.3
+    assert history.first_contact(0) == 0.15
+    assert history.first_contact(1) == 0.25
+    assert History.empty(2).first_contact(1) is None
+    assert history.greatest("force", 0) == 5.0
+    assert history.greatest("depth", 0) == 0.3
     assert history.greatest("penetration") == 0.6
-    assert history.greatest("area", 0, 0) == 3.0
-    assert history.greatest("area", 0, 1) == 2.5
-    assert history.smallest_clearance(0, 0) == 0.0
+    assert history.greatest("area", 0) == 3.0
+    assert history.greatest("area", 1) == 2.5
+    assert history.smallest_clearance(0) == 0.0
 
 
 def test_steps_that_stay_too_deep_are_listed_as_ranges(history):

@@ -162,6 +162,13 @@ BAD: list[tuple[tuple[str | int, ...], Any, tuple[str | int, ...], str]] = [
     (("tool", 0, "path", 1, "turn"), [0, 0, 0, 9], ("tool", 0, "path", 1, "turn"), "turn has no axis"),
     (("tool", 0, "force"), 5, ("tool", 0, "force"), 'force needs control = "force"'),
     (("tool", 0, "control"), "force", ("tool", 0, "control"), "force is missing"),
+    (("tool", 0, "direction"), [0, 0, -1], ("tool", 0, "direction"), 'direction needs control = "force"'),
+    (
+        ("solver",),
+        {"tolerance": 0.1, "max_penetration": 0.01},
+        ("solver", "max_penetration"),
+        "max_penetration 0.01 cannot be seen with tolerance 0.1",
+    ),
     (("solver", "step"), "quick", ("solver", "step"), 'step "quick" is not known (use one of auto)'),
     (("solver", "step"), 0, ("solver", "step"), "step must be above 0, not 0"),
     (("solver", "resolution"), 1, ("solver", "resolution"), "resolution must be at least 2, not 1"),

@@ -87,7 +87,7 @@ def test_a_tool_that_passes_beside_the_part_touches_nothing(kind):
     beside = -0.01 - {"point": 0.0, "sphere": 3.0, "surface": 3.0, "mesh": 3.0}[kind]
     session = Session(model_of(kind, [(0.0, [beside, 10, 50]), (1e-3, [beside, 10, -50])]))
     session.step()
-    assert np.isnan(session.state.touched[0, 0])
+    assert np.isnan(session.state.touched[0])
     assert len(session.contacts) == 0
     assert (session.state.control_points[0] == session.model.patches[0].surface.control_points).all()
 
@@ -98,11 +98,11 @@ def test_a_path_that_goes_in_and_out_within_one_step_is_followed():
     session = Session(model_of("sphere", rows, step=0.02))
     session.step()
     # 60 to 2.5 in 10 ms: at a height of 3 after 57 / 57.5 of them
-    assert session.state.touched[0, 0] == pytest.approx(0.01 * 57.0 / 57.5, rel=1e-3)
+    assert session.state.touched[0] == pytest.approx(0.01 * 57.0 / 57.5, rel=1e-3)
     fine = Session(model_of("sphere", rows, step=1e-4))
     while fine.state.time < 0.02 - 1e-9:
         fine.step()
-    assert fine.state.touched[0, 0] == pytest.approx(session.state.touched[0, 0], rel=1e-3)
+    assert fine.state.touched[0] == pytest.approx(session.state.touched[0], rel=1e-3)
 
 
 def test_first_contact_does_not_depend_on_the_step():
@@ -114,7 +114,7 @@ def test_first_contact_does_not_depend_on_the_step():
 def test_a_tool_moved_by_a_program_is_followed_too():
     session = Session(model_of("sphere", [(0.0, [10, 10, 40])]))
     reaction = session.step({"tool": Pose(np.array([10.0, 10.0, 2.0]))}, dt=0.02)["tool"]
-    assert session.state.touched[0, 0] == pytest.approx(0.02 * 37.0 / 38.0, rel=1e-3)
+    assert session.state.touched[0] == pytest.approx(0.02 * 37.0 / 38.0, rel=1e-3)
     assert reaction.force[2] > 0
 
 

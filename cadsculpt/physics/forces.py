@@ -90,6 +90,11 @@ def node_weights(lattice: Lattice, u: ArrayLike, v: ArrayLike) -> tuple[Index, A
     return nodes, weights / total[:, None]
 
 
+def cells_around(lattice: Lattice, u: Array, v: Array) -> tuple[Index, Index]:
+    """The cells (i, j) that (u, v) (n,) lie in, each (n,); those at the border for what lies outside the grid."""
+    return _between(lattice.u, lattice.period[0], u)[0], _between(lattice.v, lattice.period[1], v)[0]
+
+
 def _between(nodes: Array, period: float, t: Array) -> tuple[Index, Index, Array]:
     """Indices of the nodes before and after each t (m,), and how far between them it lies, 0 to 1."""
     ends = nodes

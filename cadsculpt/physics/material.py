@@ -50,6 +50,7 @@ PRESETS: dict[str, Material] = {
     "clay": Material(3.0e5, 1700.0, damping=0.3, yield_strain=0.03, hardening=0.1, friction=0.4, name="clay"),
     "foam": Material(1.0e5, 30.0, damping=0.2, friction=0.6, name="foam"),
     "rubber": Material(2.0e6, 930.0, damping=0.1, friction=0.8, name="rubber"),
+    "flesh": Material(8.0e4, 1100.0, damping=0.3, friction=0.5, name="flesh"),
     "sheet steel": Material(
         2.1e11, 7850.0, damping=0.02, yield_strain=1.0e-3, hardening=5.0e-3, friction=0.12, name="sheet steel"
     ),
@@ -64,6 +65,8 @@ clay : wet modelling clay, softer than "very soft clay" (0.5 to 5 MPa: US Army C
     flows at 9 kPa, which a thumb can do.
 foam : flexible open-cell polyurethane (Gibson and Ashby 1997, Cellular Solids, chapter 5).
 rubber : natural rubber (Ashby 2011, Materials Selection in Mechanical Design, appendix A).
+flesh : of a fingertip, its dermis (Maeno, Kobayashi, Yamazaki 1998, Relationship between the structure of human finger
+    tissue and the location of tactile receptors, JSME Int. J. C 41).
 sheet steel : deep-drawing steel DC04, which yields at 210 MPa at most (EN 10130); modulus and density of EN 1993-1-1;
     lubricated.
 aluminium : EN AW-5754, annealed, which yields at 80 MPa at least (EN 485-2); modulus of EN 1999-1-1; lubricated.

@@ -35,18 +35,12 @@ def make_tool(
     surfaces: Sequence[BSplineSurface],
     mesh: TriangleMesh | None = None,
 ) -> Tool:
-    """The tool that a [[tool]] table describes.
+    """The rigid tool that a [[tool]] table describes.
 
     spacing : the finest node spacing; a point stands for one node's cell. thickness : the greatest of any material; below it
     a point is out of it. surfaces, mesh : what the file of a surface or mesh tool holds, in the scene's unit.
     """
     where = f"tool {spec.name!r}"
-    if spec.material is not None:
-        raise InputError(
-            "a deformable tool cannot be run yet", where=where, mend="leave its material out: it is rigid then"
-        )
-    if spec.control != "position":
-        raise InputError(f"control = {spec.control!r} cannot be run yet", where=where, mend='use control = "position"')
     try:
         match spec.shape:
             case "point":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +19,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceTool:
-    """A rigid tool of one or more patches, in the tool's frame and the scene's unit; `outward` is out of the tool."""
+    """A tool of one or more patches, in the tool's frame and the scene's unit; `outward` is out of the tool.
+
+    reach : how deep behind an open tool a model is still in contact: a deformable one's thickness.
+    """
 
     grids: tuple[PatchGrid, ...]
+    reach: float = 0.0
 
     @classmethod
     def of(cls, surfaces: list[BSplineSurface], resolution: int | tuple[int, int]) -> SurfaceTool:
@@ -35,9 +40,10 @@ class SurfaceTool:
         points = np.concatenate([grid.surface.control_points.reshape(-1, 3) for grid in self.grids])
         return np.array([points.min(axis=0), points.max(axis=0)])
 
-    def placed(self, pose: Pose) -> detect.SurfaceTool:
-        """The tool in the world, as the collision pipeline takes it."""
+    def placed(self, pose: Pose, nets: Sequence[Array] | None = None) -> detect.SurfaceTool:
+        """The tool in the world, as the collision pipeline takes it. nets : its control points in the tool's frame, where it
+        has deformed."""
+        nets = [grid.surface.control_points for grid in self.grids] if nets is None else nets
         return detect.SurfaceTool(
-            self.grids,
-            tuple(np.ascontiguousarray(pose.to_world(grid.surface.control_points)) for grid in self.grids),
+            self.grids, tuple(np.ascontiguousarray(pose.to_world(net)) for net in nets), self.reach
         )

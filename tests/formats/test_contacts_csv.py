@@ -48,7 +48,7 @@ def test_contacts_come_back_bit_for_bit(tmp_path: Path) -> None:
     bodies, faces, tools = ["panel", 'the "other", panel'], ["top", "side 1", "rib,2"], ["thumb", "ball"]
     rng = np.random.default_rng(5)
     steps = [ContactRecord(n, 0.1 * n, contacts(n, n), rng.normal(size=(n, 3))) for n in (3, 0, 5)]
-    with ContactsWriter(tmp_path / "contacts.csv", bodies, faces, tools) as writer:
+    with ContactsWriter(tmp_path / "contacts.csv", [*bodies, *tools], faces) as writer:
         for record in steps:
             writer.add(record)
     table = read_contacts(tmp_path / "contacts.csv")
@@ -64,7 +64,7 @@ def test_contacts_come_back_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_the_columns_are_the_promised_ones(tmp_path: Path) -> None:
-    with ContactsWriter(tmp_path / "contacts.csv", ["m"], ["f"], ["t"]):
+    with ContactsWriter(tmp_path / "contacts.csv", ["m", "t"], ["f"]):
         pass
     with ForcesWriter(tmp_path / "forces.csv", ["t"]):
         pass
@@ -120,7 +120,7 @@ def test_grids_are_one_node_a_line(tmp_path: Path) -> None:
 
 def test_two_writes_give_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a.csv", "b.csv"):
-        with ContactsWriter(tmp_path / name, ["m", "n"], ["f", "g", "h"], ["s", "t"]) as writer:
+        with ContactsWriter(tmp_path / name, ["m", "n", "s", "t"], ["f", "g", "h"]) as writer:
             writer.add(ContactRecord(1, 0.1, contacts(20), np.ones((20, 3))))
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
@@ -137,7 +137,7 @@ def test_nothing_appears_before_the_end_or_after_a_fault(tmp_path: Path) -> None
 def test_a_disk_that_fills_up_during_the_run(tmp_path: Path) -> None:
     resource = pytest.importorskip("resource")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    writer = ContactsWriter(tmp_path / "contacts.csv", ["m", "n"], ["f", "g", "h"], ["s", "t"])
+    writer = ContactsWriter(tmp_path / "contacts.csv", ["m", "n", "s", "t"], ["f", "g", "h"])
     resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
     try:
         with pytest.raises(InputError) as caught:

@@ -207,6 +207,15 @@ def test_the_pictures_of_a_run(tmp_path: Path, pressed_panel: Callable[..., Any]
     assert len(run_pictures(tmp_path, [])) == 2
 
 
+def test_what_sprang_back_is_shown_at_its_deepest(tmp_path: Path, pressed_panel: Callable[..., Any]) -> None:
+    frames = pressed_panel(21, 15, 8).frames
+    deep = int(np.argmax([np.abs(frame.patches[0].displacement).max() for frame in frames]))
+    back = [*frames, frames[0]]
+    (shown,) = [p for p in run_pictures(tmp_path, back) if Path(p.path).stem == "deepest"]
+    assert shown.frame == deep
+    assert shown.view == "dent"
+
+
 def test_the_scale_darkens_all_the_way() -> None:
     colours = colour_scale().astype(float)
     light = colours @ [0.2126, 0.7152, 0.0722]

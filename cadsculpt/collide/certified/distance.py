@@ -50,11 +50,22 @@ def distance(
     Raises GeometryError for control points, InputError for fields, that are not finite, and for two fields without end.
     """
     cache = GridCache() if cache is None else cache
-    sides = [prepared(body, whose, cache) for body, whose in ((a, "first body"), (b, "second body"))]
+    first, second = prepared(a, "first body", cache), prepared(b, "second body", cache)
+    return between(first, second, tolerance=tolerance, threshold=threshold, budget=budget)
+
+
+def between(
+    first: SurfaceBody | DistanceField,
+    second: SurfaceBody | DistanceField,
+    *,
+    tolerance: float | None = None,
+    threshold: float | None = None,
+    budget: int = BUDGET,
+) -> DistanceInterval:
+    """The distance of two bodies that are `prepared`; arguments as for `distance`."""
     if tolerance is None:
-        tolerance = TOLERANCE * smaller_size(sides)
+        tolerance = TOLERANCE * smaller_size([first, second])
     goal = Goal(tolerance, threshold, budget)
-    first, second = sides
     if isinstance(first, SurfaceBody) and isinstance(second, SurfaceBody):
         return surface_distance(first, second, goal).interval()
     if isinstance(first, SurfaceBody) and not isinstance(second, SurfaceBody):

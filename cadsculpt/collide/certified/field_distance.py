@@ -65,16 +65,17 @@ class PointField:
 
 def signed_distance(field: DistanceField, points: Array) -> Array:
     """The field at points (n, 3). Raises InputError where it is not a number."""
-    out = np.asarray(field.distance(np.ascontiguousarray(points)), dtype=np.float64)
-    if np.isnan(out).any():
-        raise InputError("a distance to the tool is not a number", mend="check the tool's sizes, pose and formula")
-    return out
+    return _numbers(field.distance(np.ascontiguousarray(points)))
 
 
 def certain_distance(field: DistanceField, points: Array) -> Array:
     """What is certain of the field at points (n, 3): never farther from 0 than its distance, which some fields find by a
     search. Raises InputError where it is not a number."""
-    out = np.asarray(lower_bound(field, np.ascontiguousarray(points)), dtype=np.float64)
+    return _numbers(lower_bound(field, np.ascontiguousarray(points)))
+
+
+def _numbers(distances: Array) -> Array:
+    out = np.asarray(distances, dtype=np.float64)
     if np.isnan(out).any():
         raise InputError("a distance to the tool is not a number", mend="check the tool's sizes, pose and formula")
     return out

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from .body import GridCache, SurfaceBody
 from .classify import Kind, kind_of_meeting
-from .distance import Body, distance, prepared, smaller_size
+from .distance import Body, between, prepared, smaller_size
 from .interval import BUDGET, DistanceInterval
 from .meeting import Side, field_meets, normals, surfaces_meet, witness_pair
 from .pairs import SurfacePairs
@@ -71,10 +71,10 @@ def proximity(
         raise InputError(f"a touch tolerance of {touch}", mend="give a length that is not negative")
     touch = max(touch, least)
     limit = max(touch, clearance)
-    found = distance(a, b, tolerance=tolerance, budget=budget, cache=cache)
+    found = between(one, two, tolerance=tolerance, budget=budget)
     if found.low <= limit < found.high and not found.exhausted:
         # the interval is as narrow as was asked, and lies across the limit
-        found = found.narrowed(distance(a, b, tolerance=least, threshold=limit, budget=budget, cache=cache))
+        found = found.narrowed(between(one, two, tolerance=least, threshold=limit, budget=budget))
     within = (contains(one, two, touch), contains(two, one, touch)) if found.low > touch else (False, False)
     if any(within):
         return Proximity("contact", "contained", replace(found, low=0.0, high=0.0, decided=True, exhausted=False), touch,
@@ -107,8 +107,8 @@ def separation(
     """The distance of two bodies as solids where they are: 0 where one lies inside the other. Arguments as for
     `distance`."""
     cache = GridCache() if cache is None else cache
-    found = distance(a, b, tolerance=tolerance, threshold=threshold, budget=budget, cache=cache)
     one, two = prepared(a, "first body", cache), prepared(b, "second body", cache)
+    found = between(one, two, tolerance=tolerance, threshold=threshold, budget=budget)
     least = ROUNDING * max(_reach(one), _reach(two))
     for outer, inner in ((one, two), (two, one)):
         within = contains(outer, inner, least) if found.low > least else False
