@@ -85,18 +85,17 @@ class Lattices:
     def own_speed(
         self, states: Sequence[LatticeState], before: Sequence[Pose], after: Sequence[Pose], dt: float
     ) -> float:
-        """The highest speed [L/s] of any surface that moves by itself: of a body that nothing holds, and of a deformable tool
-        beside the motion of its pose."""
-        if not self.model.moving:
-            return 0.0
-        speed, carried = 0.0, self.frames(before)
+        """The highest speed [L/s] of any node that moves by itself and may meet something that does not watch it: of a body
+        that nothing holds, of a deformable tool beside the motion of its pose, and of patches that are integrated together.
+        (A face alone under rigid tools is watched by how far these move.)"""
+        speed = 0.0
         for group, state in zip(self.groups, states, strict=True):
+            body = self.model.patches[group.patches[0]].body
+            if len(group.patches) == 1 and body not in self.model.free and body < self.model.models:
+                continue
             field = self._frame_velocity(group, state, before, after, dt)
-            for i in group.patches:
-                body, mine = self.model.patches[i].body, group.nodes_of(i)
-                if body in self.model.free or body in carried:
-                    rate = state.velocity[mine] - (0.0 if field is None else field[mine])
-                    speed = max(speed, float(np.sqrt(np.einsum("nc,nc->n", rate, rate).max())))
+            rate = state.velocity if field is None else state.velocity - field
+            speed = max(speed, float(np.sqrt(np.einsum("nc,nc->n", rate, rate).max())))
         return speed
 
     def advance(

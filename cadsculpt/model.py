@@ -115,11 +115,6 @@ class Model:
         """The place of a body among the tools; None for a model."""
         return body - self.models if body >= self.models else None
 
-    @property
-    def moving(self) -> bool:
-        """Whether a body moves by itself, beside the material that tools press: one that is free, or deforms as a tool."""
-        return bool(self.free) or any(tool.patches for tool in self.tools)
-
 
 def build_model(
     scene: Scene,

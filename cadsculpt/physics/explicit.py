@@ -200,7 +200,6 @@ def advance(
         ties.start,
         ties.masters,
         ties.weights,
-        lattice.nodes,
         _NO_FIELD if external is None else np.ascontiguousarray(external, dtype=np.float64),
         _NO_FIELD if frame_velocity is None else np.ascontiguousarray(frame_velocity, dtype=np.float64),
         state.x,
@@ -279,7 +278,6 @@ def _advance(
     tie_start: Index,
     masters: Index,
     tie_weights: Array,
-    rest_nodes: Array,
     external: Array,
     frame_velocity: Array,
     x0: Array,
@@ -389,13 +387,6 @@ def _advance(
                 end_force[c, a] = (rubbing[c, a] - pressing[c] * normal[c, a]) / h
                 mean_force[c, a] += end_force[c, a] / count
 
-    # tied displacements to the last digit, whatever has been rounded away on the way
-    for s in range(len(tied)):
-        for a in range(3):
-            moved = 0.0
-            for e in range(tie_start[s], tie_start[s + 1]):
-                moved += tie_weights[e] * (x[a, masters[e] + 1] - rest_nodes[masters[e], a])
-            x[a, tied[s] + 1] = rest_nodes[tied[s], a] + moved
     square = 0.0
     finite = True
     for n in range(1, size + 1):

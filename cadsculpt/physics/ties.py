@@ -1,12 +1,12 @@
 """Nodes that follow others, so that several lattices move as one: the seams between the faces of one body.
 
-A tied node has no motion of its own. Its displacement from rest is the weighted mean of its masters',
+A tied node has no motion of its own. Its velocity is the weighted mean of its masters',
 
-    x_s - X_s = sum_k w_k (x_k - X_k),    w_k >= 0,  sum_k w_k = 1,
+    v_s = sum_k w_k v_k,    w_k >= 0,  sum_k w_k = 1,
 
-its velocity the same mean of theirs, and the forces on it go to them by the same weights. (Displacements are tied, not
-positions: at a crease the inward directions of two faces differ, and what lies below the seam does not coincide.) Its mass
-goes to its masters too, so that momentum is kept exactly.
+its displacement therefore the same mean of theirs, and the forces on it go to them by the same weights. (Displacements are
+tied, not positions: what is tied need not coincide. Where it does not, the gap keeps its direction while the body turns.) Its
+mass goes to its masters too, so that momentum is kept exactly.
 """
 
 from __future__ import annotations
