@@ -2,27 +2,45 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
 
-from .console import print_json, print_table
+from .console import print_json, print_table, warn
 
 
 @click.command("tools")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else there.")
-def command(as_json: bool) -> int:
+@click.option(
+    "--pictures",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Draw each of them into a folder.",
+)
+def command(as_json: bool, pictures: Path | None) -> int:
     """List the tools that come with cadsculpt.
 
     A scene takes one by its name, with use = "thumb" in a [[tool]] table.
 
     \b
     cadsculpt tools
+    cadsculpt tools --pictures tools
     cadsculpt tools --json
     """
     from ..formats import tool_toml
 
-    tools = [_tool_object(name, tool_toml.read(path)) for name, path in tool_toml.library().items()]
+    definitions = {name: tool_toml.read(path) for name, path in tool_toml.library().items()}
+    tools = [_tool_object(name, definition) for name, definition in definitions.items()]
+    if pictures is not None:
+        from ..formats.tool_pictures import draw_tools
+
+        drawn, warnings = draw_tools(definitions, pictures)
+        for warning in warnings:
+            warn(warning)
+        for tool in tools:
+            path = pictures / f"{tool['name']}.png"
+            tool["picture"] = path.as_posix() if path in drawn else None
     if as_json:
         print_json({"tools": tools})
         return 0

@@ -247,7 +247,7 @@ def _write_job(
                 "what": order.what,
                 "size": list(order.size),
                 "title": order.title,
-                "bar": field.title,
+                "bar": field.title if any((~meshes[n].tool).any() for n in chosen) else "",  # nothing takes its colours
                 "top": field.top if field.top > 0.0 else 1.0,
                 "tools": order.tools if isinstance(order, Picture) else True,
                 "frames_per_second": order.frames_per_second if isinstance(order, Film) else 0.0,

@@ -153,6 +153,8 @@ def _finished(pixels: Array, order: dict[str, Any], time: float) -> Any:
     margin = height // 40
     text = f"{order['title']}  t = {time:.3f} s".strip() if order["film"] else order["title"]
     pen.text((margin, margin), text, INK, font)
+    if not order["bar"]:
+        return Image.alpha_composite(image, layer).convert("RGB")
     length, thick = round(0.36 * width), max(8, height // 50)
     x, y = (width - length) // 2, round(0.935 * height)
     above = round(1.5 * font_size)
