@@ -105,7 +105,7 @@ def assemble(parts: Sequence[Lattice], ties: Ties | None = None) -> Assembly:
         ),
         highest_frequency=math.nan,
         ties=tied,
-        starts=starts,
+        grids=tuple((n, part.shape, part.wrap) for n, part in zip(starts, parts, strict=True)),
         free=_free_bodies(starts, count, tied, anchored & active),
         nodes=np.concatenate([part.nodes for part in parts]),
         volume=np.concatenate([part.volume for part in parts]),

@@ -36,12 +36,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
+from .coarse import CoarseSpace
 from .explicit import MOST_STRETCH, NO_LOAD, ContactLoad, LatticeState, StepForces
 from .impulses import contact_rows, touches
 from .lattice import Lattice
+from .numbering import Numbering
 from .rigid import body_modes, rigid_flight
 from .springs import fastest_stretch, spring_tangents
-from .tangent import Numbering, Tangent, one_blas_thread, solve
+from .tangent import Tangent, banded, one_blas_thread, solve
 from .ties import carried, condensed
 
 Array = NDArray[np.float64]
@@ -104,7 +106,9 @@ def advance_implicit(
     if not (np.isfinite(state.x).all() and np.isfinite(state.velocity).all()):
         raise SimulationError("the lattice's positions are no longer finite", mend=_CALMER)
     count = 1 if substep is None else max(1, math.ceil(dt / substep * (1.0 - 1e-12)))
-    numbering = Numbering.of(lattice, _both_sides(lattice, load)[0], state.x)
+    nodes = _both_sides(lattice, load)[0]
+    numbering = Numbering.of(lattice, nodes, state.x)
+    coarse = None if banded(numbering) else CoarseSpace.of(lattice, numbering.place, nodes)
     now = state.copy()
     now.workspace = state.workspace
     now.velocity = carried(now.velocity, lattice.ties)
@@ -119,7 +123,7 @@ def advance_implicit(
         )
         try:
             with one_blas_thread():
-                found = _newton(problem, numbering)
+                found = _newton(problem, numbering, coarse)
         except _NoConvergenceError as failure:
             if size == 1:
                 raise SimulationError(
@@ -303,7 +307,7 @@ class _Balance:
     duals: _Duals
 
 
-def _newton(problem: _Problem, numbering: Numbering) -> _Balance:
+def _newton(problem: _Problem, numbering: Numbering, coarse: CoarseSpace | None) -> _Balance:
     """Solve one sub-step. Raises _NoConvergenceError."""
     lattice = problem.lattice
     springs = lattice.stiffness.shape if lattice.plastic else (0, 0)
@@ -319,10 +323,10 @@ def _newton(problem: _Problem, numbering: Numbering) -> _Balance:
             return now
         if not math.isfinite(now.ratio):
             raise _NoConvergenceError(now.ratio, iteration)
-        d = solve(lattice, numbering, now.tangent, now.residual)
+        d = solve(lattice, numbering, now.tangent, now.residual, coarse)
         if d is None:
             safe = _balance(problem, now.x, now.duals, definite=True)
-            d = solve(lattice, numbering, safe.tangent, now.residual)
+            d = solve(lattice, numbering, safe.tangent, now.residual, coarse)
         if d is None:
             raise _NoConvergenceError(now.ratio, iteration + 1)
         farthest = math.sqrt(float(np.einsum("nc,nc->n", d, d).max()))

@@ -50,7 +50,8 @@ class Lattice:
     inward) is. highest_frequency : an upper bound of the squared angular frequencies at rest [1/s^2]. segments (M, 4)
     : direction, start, stop, shift: runs of springs (d, n), n in [start, stop), that end at n + shift. ties : nodes that
     follow others (assembly.py). free (b, 3) : what nothing holds, as runs of nodes: body, first node, last node + 1, the
-    runs of a body one behind the other. starts : first node of each lattice that this one is assembled from.
+    runs of a body one behind the other. grids : first node, shape and wrap of each lattice that this one is assembled from
+    (empty: of itself).
     """
 
     shape: tuple[int, int, int]
@@ -81,7 +82,7 @@ class Lattice:
     metres_per_unit: float
     ties: TiedNodes = NO_TIES
     free: Index = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
-    starts: tuple[int, ...] = (0,)
+    grids: tuple[tuple[int, tuple[int, int, int], tuple[bool, bool]], ...] = ()
 
 
 def build_lattice(
@@ -254,6 +255,11 @@ def spring_segments(shape: tuple[int, int, int], wrap: tuple[bool, bool]) -> Ind
                     rows.append((d, start, start + nl, shift + row))
                     rows.append((d, start + nl, stop, shift))
     return np.array(rows, dtype=np.int64)
+
+
+def grids(lattice: Lattice) -> tuple[tuple[int, tuple[int, int, int], tuple[bool, bool]], ...]:
+    """`Lattice.grids`, the lattice's own where it is not assembled."""
+    return lattice.grids or ((0, lattice.shape, lattice.wrap),)
 
 
 def grid_shape(lattice: Lattice) -> tuple[int, int, int]:

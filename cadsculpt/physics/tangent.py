@@ -4,8 +4,7 @@ K is symmetric and couples a node with its 26 neighbours, so that in the lattice
 b = 3 (rows across x layers): it is factored as a band (LAPACK's blocked Cholesky), which also says whether K is
 positive definite. Its n b^2 operations run at the speed of a matrix product: 0.1 s for 30 x 30 x 4 nodes. Beyond
 LARGEST_BAND operations, conjugate gradients on K spring by spring, preconditioned with the exact inverse of every column of
-nodes through the thickness. They are the faster on an elastic plate from 20 x 20 nodes on, but several times slower where
-contacts press and metal flows.
+nodes through the thickness and with that of a coarse grid (coarse.py).
 """
 
 from __future__ import annotations
@@ -20,130 +19,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit import njit
+from .coarse import CoarseSpace, add_block
 from .lattice import Lattice
+from .numbering import Numbering
 from .ties import carried, condensed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-LARGEST_BAND = 2e10
-"""Operations n b^2 above which the band is no longer factored: about 1.5 s on one core."""
+LARGEST_BAND = 1e10
+"""Operations n b^2 above which the band is no longer factored: about 0.8 s on one core. Where contacts press and metal flows,
+conjugate gradients take as long there; on an elastic plate they are the faster from 20 x 20 nodes on."""
 
 CG_TOLERANCE = 1e-4
 """Residual over right-hand side at which conjugate gradients stop: Newton's method corrects the rest."""
 
 CG_ITERATIONS = 5000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Numbering:
-    """Where the free nodes of a lattice stand in the linear system.
-
-    place (N,) : a node's place, -1 for one that does not move freely. count : of free nodes. width : the largest
-    distance between the places of two neighbours.
-    """
-
-    place: Index
-    count: int
-    width: int
-
-    @property
-    def banded(self) -> bool:
-        """The band is small enough to be factored."""
-        return 3.0 * self.count * (3.0 * self.width + 3.0) ** 2 <= LARGEST_BAND
-
-    @classmethod
-    def of(cls, lattice: Lattice, nodes: Index, x: Array | None = None) -> Numbering:
-        """The order of the free nodes with the narrowest band. nodes (c, w) : of contacts. x (N, 3) : where the nodes are.
-
-        A lattice's own grid gives rows across u or rows across v; rows around a closed direction are taken from both ends
-        in turn, so that the last stands near the first. An assembly is cut into what hangs together by ties and contacts,
-        and each piece swept along one of its axes.
-        """
-        orders = _grid_orders(lattice) if len(lattice.u) else _swept_orders(lattice, nodes, x)
-        return min((cls._ordered(lattice, nodes, order) for order in orders), key=lambda numbering: numbering.width)
-
-    @classmethod
-    def _ordered(cls, lattice: Lattice, nodes: Index, order: Index) -> Numbering:
-        place = np.full(len(lattice.nodes), -1, dtype=np.int64)
-        place[order] = np.arange(len(order))
-        low, high = place, place
-        ties = lattice.ties
-        if len(ties.nodes):
-            low, high = place.copy(), place.copy()
-            of_masters = place[ties.masters]
-            high[ties.nodes] = np.maximum.reduceat(of_masters, ties.start[:-1])
-            # held masters have no place
-            of_masters[of_masters < 0] = len(order)
-            low[ties.nodes] = np.minimum.reduceat(of_masters, ties.start[:-1])
-            low[high < 0] = -1
-        return cls(place, len(order), _width(lattice.segments, lattice.stiffness, low, high, nodes))
-
-
-def _grid_orders(lattice: Lattice) -> list[Index]:
-    """The free nodes of one lattice, rows across u and rows across v."""
-    free = (lattice.inverse_mass > 0.0).reshape(lattice.shape)
-    orders = []
-    for axis in (0, 1):
-        rows = np.arange(lattice.shape[axis])
-        if lattice.wrap[axis]:
-            rows = np.stack([rows, rows[::-1]], axis=1).ravel()[: len(rows)]
-        inside = np.take(free, rows, axis=axis)
-        index = np.take(np.arange(free.size).reshape(free.shape), rows, axis=axis)
-        orders.append(np.swapaxes(index, 0, axis).ravel()[np.swapaxes(inside, 0, axis).ravel()])
-    return orders
-
-
-def _swept_orders(lattice: Lattice, nodes: Index, x: Array | None) -> list[Index]:
-    """The free nodes of an assembly, piece by piece, swept along the axes of the frame and along each piece's own."""
-    x = lattice.nodes if x is None else x
-    part = np.repeat(np.arange(len(lattice.starts)), np.diff([*lattice.starts, len(x)]))
-    piece = _pieces(len(lattice.starts), part, lattice, nodes)[part]
-    free = np.flatnonzero(lattice.inverse_mass > 0.0)
-    along = [x]
-    turned = np.empty_like(x)
-    for k in np.unique(piece):
-        mine = piece == k
-        centred = x[mine] - x[mine].mean(axis=0)
-        turned[mine] = centred @ np.linalg.eigh(centred.T @ centred)[1]
-    along.append(turned)
-    return [free[np.lexsort((free, t[free, axis], piece[free]))] for t in along for axis in range(3)]
-
-
-def _pieces(count: int, part: Index, lattice: Lattice, nodes: Index) -> Index:
-    """Which piece each of `count` parts belongs to; part (N,) : the part of each node."""
-    pairs = [(part[nodes[:, :1]], part[nodes])]
-    ties = lattice.ties
-    if len(ties.nodes):
-        pairs.append((part[np.repeat(ties.nodes, np.diff(ties.start))][:, None], part[ties.masters][:, None]))
-    piece = np.arange(count)
-    met = np.unique(
-        np.concatenate([np.stack(np.broadcast_arrays(a, b), axis=-1).reshape(-1, 2) for a, b in pairs]), axis=0
-    )
-    for a, b in met:
-        if piece[a] != piece[b]:
-            piece[piece == piece[b]] = piece[a]
-    return piece
-
-
-@njit
-def _width(segments: Index, stiffness: Array, low: Index, high: Index, nodes: Index) -> int:
-    """low, high (N,) : places of a node; the first and last of its masters' where it is tied; -1 where it is held."""
-    width = 0
-    for row in range(len(segments)):
-        d, start, stop, shift = segments[row]
-        for n in range(start, stop):
-            if stiffness[d, n] > 0.0 and low[n] >= 0 and low[n + shift] >= 0:
-                width = max(width, max(high[n], high[n + shift]) - min(low[n], low[n + shift]))
-    for c in range(len(nodes)):
-        first, last = -1, -1
-        for k in range(nodes.shape[1]):
-            p = low[nodes[c, k]]
-            if p >= 0:
-                first = p if first < 0 else min(first, p)
-                last = max(last, p)
-        width = max(width, last - first)
-    return width
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,11 +69,23 @@ def one_blas_thread() -> AbstractContextManager[Any]:
     return limited
 
 
-def solve(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: Array) -> Array | None:
+def banded(numbering: Numbering) -> bool:
+    """The band is small enough to be factored."""
+    return numbering.operations <= LARGEST_BAND
+
+
+def solve(
+    lattice: Lattice, numbering: Numbering, tangent: Tangent, right: Array, coarse: CoarseSpace | None = None
+) -> Array | None:
     """d (N, 3) with K d = right (N, 3) at the free nodes, what follows from it at tied ones, 0 elsewhere; None where K is not
-    positive definite. `right` is 0 at tied nodes: what acts there acts on their masters.
+    positive definite. `right` is 0 at tied nodes: what acts there acts on their masters. coarse : of this numbering, if it has
+    been made before; it is needed where that is not `banded`.
     """
-    d = (_solve_band if numbering.banded else _solve_cg)(lattice, numbering, tangent, right)
+    if banded(numbering):
+        d = _solve_band(lattice, numbering, tangent, right)
+    else:
+        coarse = CoarseSpace.of(lattice, numbering.place, tangent.nodes) if coarse is None else coarse
+        d = _solve_cg(lattice, numbering, tangent, right, coarse)
     return None if d is None else carried(d, lattice.ties)
 
 
@@ -227,14 +130,6 @@ def _solve_band(lattice: Lattice, numbering: Numbering, tangent: Tangent, right:
     d = np.zeros_like(right)
     d[free] = y.reshape(-1, 3)[numbering.place[free]]
     return d
-
-
-@njit
-def _add_block(band: Array, p: int, q: int, block: Array, scale: float) -> None:
-    """Add scale * block (3, 3) at places p >= q of the lower band."""
-    for r in range(3):
-        for c in range(3 if p > q else r + 1):
-            band[3 * q + c, 3 * (p - q) + r - c] += scale * block[r, c]
 
 
 @njit
@@ -290,27 +185,32 @@ def _fill_band(
                         if among[k] >= among[m] >= 0 and (among[k] > among[m] or k >= m):
                             # two shares of one place stand on both sides of the diagonal
                             twice = 2.0 if among[k] == among[m] and k > m else 1.0
-                            _add_block(band, among[k], among[m], h, twice * share[k] * share[m])
+                            add_block(band, among[k], among[m], h, twice * share[k] * share[m])
                 continue
             if p >= 0:
-                _add_block(band, p, p, h, 1.0)
+                add_block(band, p, p, h, 1.0)
             if q >= 0:
-                _add_block(band, q, q, h, 1.0)
+                add_block(band, q, q, h, 1.0)
             if p >= 0 and q >= 0:
-                _add_block(band, max(p, q), min(p, q), h, -1.0)
+                add_block(band, max(p, q), min(p, q), h, -1.0)
     for c in range(len(nodes)):
         for k in range(nodes.shape[1]):
             for m in range(nodes.shape[1]):
                 p, q = place[nodes[c, k]], place[nodes[c, m]]
                 w = weights[c, k] * weights[c, m]
                 if w != 0.0 and p >= q >= 0:
-                    _add_block(band, p, q, contact[c], w)
+                    add_block(band, p, q, contact[c], w)
 
 
-def _solve_cg(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: Array) -> Array | None:
+def _solve_cg(
+    lattice: Lattice, numbering: Numbering, tangent: Tangent, right: Array, coarse: CoarseSpace
+) -> Array | None:
     """Conjugate gradients; None as soon as a direction of negative curvature shows."""
     free = numbering.place >= 0
-    precondition = _column_inverses(lattice, tangent, free)
+    columns = _column_inverses(lattice, tangent, free)
+    smooth = coarse.inverse(lattice, tangent.blocks, tangent.diagonal, tangent.nodes, tangent.weights, tangent.contact)
+    if smooth is None:
+        return None
     r = np.where(free[:, None], right, 0.0)
     target = CG_TOLERANCE * np.linalg.norm(r)
     acting = tangent.contact.any(axis=(1, 2))
@@ -322,7 +222,7 @@ def _solve_cg(lattice: Lattice, numbering: Numbering, tangent: Tangent, right: A
     for _ in range(CG_ITERATIONS):
         if np.linalg.norm(r) <= target:
             return d
-        z = precondition(r)
+        z = columns(r) + smooth(r)
         before, along = along, float(np.vdot(r, z))
         direction = z if before == 0.0 else z + along / before * direction
         product = tangent.diagonal[:, None] * direction
@@ -381,10 +281,24 @@ def _column_inverses(lattice: Lattice, tangent: Tangent, free: NDArray[np.bool_]
     def precondition(r: Array) -> Array:
         z = np.empty_like(r)
         for nodes, inverse in groups:
-            z[nodes] = np.matmul(inverse, r[nodes].reshape(len(nodes), -1, 1)).reshape(*nodes.shape, 3)
+            _apply_columns(nodes, inverse, r, z)
         return z
 
     return precondition
+
+
+@njit
+def _apply_columns(nodes: Index, inverse: Array, r: Array, z: Array) -> None:
+    """z (N, 3) = inverse (c, 3 l, 3 l) of r (N, 3) in columns of nodes (c, l)."""
+    for c in range(len(nodes)):
+        for k in range(nodes.shape[1]):
+            for a in range(3):
+                total = 0.0
+                for m in range(nodes.shape[1]):
+                    n = nodes[c, m]
+                    for b in range(3):
+                        total += inverse[c, 3 * k + a, 3 * m + b] * r[n, b]
+                z[nodes[c, k], a] = total
 
 
 @njit

@@ -21,7 +21,8 @@ from cadsculpt.physics.implicit import advance_implicit
 from cadsculpt.physics.lattice import Lattice, build_lattice
 from cadsculpt.physics.material import PRESETS, Material
 from cadsculpt.physics.measures import elastic_energy, kinetic_energy, nodal_plastic_set
-from cadsculpt.physics.tangent import Numbering, Tangent, solve
+from cadsculpt.physics.numbering import Numbering
+from cadsculpt.physics.tangent import Tangent, solve
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,8 @@ from cadsculpt.physics.implicit import advance_implicit
 from cadsculpt.physics.lattice import Lattice, build_lattice
 from cadsculpt.physics.material import Material
 from cadsculpt.physics.measures import elastic_energy, kinetic_energy
-from cadsculpt.physics.tangent import Numbering, solve
+from cadsculpt.physics.numbering import Numbering
+from cadsculpt.physics.tangent import solve
 
 Array = NDArray[np.float64]
 Step = Callable[..., StepForces]

@@ -22,8 +22,9 @@ from cadsculpt.physics.implicit import advance_implicit
 from cadsculpt.physics.lattice import Lattice, build_lattice
 from cadsculpt.physics.material import PRESETS, Material
 from cadsculpt.physics.measures import elastic_energy, kinetic_energy
+from cadsculpt.physics.numbering import Numbering
 from cadsculpt.physics.seams import locate, seam_ties
-from cadsculpt.physics.tangent import Numbering, solve
+from cadsculpt.physics.tangent import solve
 from cadsculpt.physics.ties import Ties, condensed, resolve
 
 Array = NDArray[np.float64]
