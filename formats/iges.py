@@ -31,6 +31,7 @@ from .occt.document import (
     face_names,
     faces_in,
     free_shapes,
+    name_faces,
     new_document,
     set_length_unit,
     wrong_entities,
@@ -89,7 +90,6 @@ def load(path: Path, *, units: str | None = None, probing: bool = False) -> Iges
             set_length_unit(document, METRES_PER_MM / factor)
             reader.Transfer(document)
             set_length_unit(document, METRES_PER_MM)
-            names = face_names(document)
             unknown = _look_up(reader, document, owners_of(file), names, places)
         # a face of unknown origin may be any of those that are missing
         own = [] if unknown else _read_here(file, places, name, document, names)
@@ -109,6 +109,8 @@ def load(path: Path, *, units: str | None = None, probing: bool = False) -> Iges
 def _set_right(file: IgesFile) -> list[str]:
     """What is not as the standard wants it, and was put right or will be noticed elsewhere."""
     lines = [f"{what}; the file was set right" for what in file.mended]
+    if file.disordered:
+        lines.append(f"{file.disordered} of its lines are not numbered in their order; they were set right")
     if file.crowded:
         lines.append(
             f"{file.crowded} of its lines run into column 65, which the standard keeps blank; they were set right"
@@ -251,24 +253,34 @@ def _look_up(
     """
     session = reader.WS()
     model, transfer = session.Model(), session.TransferReader()
-    unknown = 0
+    said = face_names(document)
+    unknown, renamed = 0, []
     for shape in free_shapes(document):
         for face in faces_in(shape):
             entity = _origin(transfer, face)
             if entity is None:
                 unknown += 1
-                continue
-            pointer = model.DNum(entity)
-            # of a bounded surface without bounds the kernel names the surface
-            pointer = next((p for p in owners.get(pointer, ()) if p not in places), pointer)
-            places.setdefault(pointer, face)
-            if entity.HasName():
-                names.add(face, entity.NameValue().ToCString())
-            elif entity.HasShortLabel():
-                label = entity.ShortLabel().ToCString().strip()
-                number = entity.SubScriptNumber() if entity.HasSubScriptNumber() else 0
-                names.add(face, f"{label}_{number}" if label and number else label)
+            else:
+                pointer = model.DNum(entity)
+                # of a bounded surface without bounds the kernel names the surface
+                pointer = next((p for p in owners.get(pointer, ()) if p not in places), pointer)
+                places.setdefault(pointer, face)
+                names.add(face, _name(entity))
+            names.add(face, said.of(face))
+            if names.of(face) != said.of(face):
+                renamed.append((names.of(face), face))
+    name_faces(document, renamed)
     return unknown
+
+
+def _name(entity: IGESData_IGESEntity) -> str:
+    """An entity's name, from its property or its label; "" when it has neither."""
+    label = str(entity.ShortLabel().ToCString()).strip() if entity.HasShortLabel() else ""
+    number = entity.SubScriptNumber() if entity.HasSubScriptNumber() else 0
+    whole = f"{label}({number})" if number else label
+    said = str(entity.NameValue().ToCString()).strip() if entity.HasName() else ""
+    # the kernel makes a name of the label, with a (0) behind it where the label has no number
+    return whole if label and said in ("", f"{label}({number})") else said
 
 
 def _origin(transfer: XSControl_TransferReader, face: TopoDS_Face) -> IGESData_IGESEntity | None:

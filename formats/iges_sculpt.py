@@ -83,17 +83,18 @@ def _surface(file: IgesFile, entity: Entity, read: BSplineSurface, new: BSplineS
     if before.shape != new.shape or fine.shape != new.shape:
         raise InputError("the sculpted surface has other knots than the file's with more of them")
     matrix = matrix_of(file, matrix_pointer(entity))[:3, :3]
-    moved = (np.abs(new.control_points - before.control_points) > SAME * read.size).any(axis=2)
     shift = np.linalg.solve(matrix, (new.control_points - before.control_points).reshape(-1, 3).T).T / scale
-    net = np.where(moved[..., None], fine.control_points + shift.reshape(*fine.shape, 3), fine.control_points)
+    shift = shift.reshape(*fine.shape, 3)
+    moved = np.abs(shift) > SAME * read.size / scale
+    net = np.where(moved, fine.control_points + shift, fine.control_points)
     old = entity.parameters
     if fine.shape == own.shape:
         count = own.shape[0] * own.shape[1]
         first = 10 + len(own.knots_u) + len(own.knots_v) + count
-        parameters = list(old)
-        rows = net.transpose(1, 0, 2).reshape(-1, 3)
-        for k in np.flatnonzero(moved.T.ravel()).tolist():
-            parameters[first + 3 * k : first + 3 * k + 3] = [step_real(x) for x in rows[k].tolist()]
+        parameters, places = list(old), moved.transpose(1, 0, 2).ravel()
+        for k, value in enumerate(net.transpose(1, 0, 2).ravel().tolist()):
+            if places[k]:
+                parameters[first + k] = step_real(value)
         return Change(128, _form(entity), parameters)
     points, weights = rows_of_surface(fine.with_control_points(net))
     r, s = fine.shape
