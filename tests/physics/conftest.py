@@ -10,6 +10,7 @@ import pytest
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from cadsculpt.physics import implicit
 from cadsculpt.physics.calibrate import OFFSETS
 from cadsculpt.physics.explicit import ContactLoad
 from cadsculpt.physics.lattice import Lattice, build_lattice, spring_segments
@@ -211,3 +212,15 @@ def contact() -> Callable[..., ContactLoad]:
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def residual_along() -> Callable[..., Array]:
+    """residual_along(problem, x, d, duals) : the derivative of an implicit step's residual along d at x, by differences."""
+
+    def derivative(problem: implicit._Problem, x: Array, d: Array, duals: implicit._Duals) -> Array:
+        small = 1e-6 / np.abs(d).max()
+        ahead, behind = (implicit._balance(problem, x + sign * small * d, duals).residual for sign in (1.0, -1.0))
+        return (ahead - behind) / (2 * small)
+
+    return derivative
