@@ -229,8 +229,8 @@ def residual_along() -> Callable[..., Array]:
 
 @pytest.fixture(scope="session")
 def on_a_bonded_layer() -> Callable[[float], float]:
-    """on_a_bonded_layer(a / h) : the force of a rigid sphere on a layer of thickness h, bonded to a rigid base, over Hertz's; a =
-    sqrt(R d), Poisson's ratio 1/4 (Dimitriadis et al. 2002, eq. 11).
+    """on_a_bonded_layer(a / h) : the force of a rigid sphere on a layer of thickness h, bonded to a rigid base, over Hertz's;
+    a = sqrt(R d), Poisson's ratio 1/4 (Dimitriadis et al. 2002, eq. 11).
     """
 
     def factor(chi: float) -> float:

@@ -146,7 +146,7 @@ def test_bars_in_series(step: Step) -> None:
 
 
 def test_two_caps_press_as_hertz_says(on_a_bonded_layer: Callable[[float], float]) -> None:
-    """Two like spherical caps on rigid backs: by symmetry each is pressed by a plane, half the way; within 8 %."""
+    """Two like spherical caps on rigid backs: by symmetry each is pressed by a plane, half the way; within 5 %."""
     radius, layers, across, way = 40.0, 8, 23, 0.5
     middle = (across - 1) / 2
     x, y = np.meshgrid(np.arange(float(across)), np.arange(float(across)), indexing="ij")
@@ -180,7 +180,7 @@ def test_two_caps_press_as_hertz_says(on_a_bonded_layer: Callable[[float], float
     half = (way - result.depth.max()) / 2
     hertz = 4 / 3 / (1 - 0.25**2) * math.sqrt(radius) * half**1.5
     expected = hertz * on_a_bonded_layer(math.sqrt(radius * half) / layers)
-    assert -result.end_force[:, 2].sum() == pytest.approx(expected, rel=0.08)
+    assert -result.end_force[:, 2].sum() == pytest.approx(expected, rel=0.05)
 
 
 def thrown(seed: int, *, friction: float, damping: float = 0.0) -> tuple[Assembly, LatticeState]:
