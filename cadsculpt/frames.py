@@ -11,7 +11,8 @@ from .physics.lattice import hexahedra
 from .physics.measures import nodal_plastic_set, nodal_strain, nodal_stress
 from .record import Frame, LatticeFrame, PatchFrame, ToolFrame
 from .session import Session
-from .tools.outline import outline
+from .tools.outline import outline, outline_points
+from .tools.surface import SurfaceTool
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -34,7 +35,7 @@ class _PatchView:
 
 @dataclass(slots=True, eq=False)
 class FrameMaker:
-    """Makes frames of a session; precomputes what does not change. `names` : of the patches, unlike each other."""
+    """Makes frames of a session; precomputes what does not change. `names` : of the models' patches, unlike each other."""
 
     session: Session
     names: tuple[str, ...]
@@ -45,7 +46,8 @@ class FrameMaker:
     def of(cls, session: Session) -> FrameMaker:
         model = session.model
         views = []
-        for patch in model.patches:
+        sculpted = [patch for patch in model.patches if patch.body < model.models]
+        for patch in sculpted:
             matrices = patch.grid.matrices
             rows, columns = (
                 np.unique(np.rint(np.linspace(0, n - 1, min(n, MOST_ROWS))).astype(np.int64)) for n in matrices.shape
@@ -66,32 +68,31 @@ class FrameMaker:
                     ),
                 )
             )
-        several = len(model.bodies) > 1
-        names = tuple(f"{model.bodies[p.body]}: {p.name}" if several else p.name for p in model.patches)
+        several = model.models > 1
+        names = tuple(f"{model.bodies[p.body]}: {p.name}" if several else p.name for p in sculpted)
         return cls(session, names, views, [outline(tool.tool, scene_size=model.size) for tool in model.tools])
 
     def parameters(self) -> list[tuple[Array, Array]]:
         """Per patch the parameters u and v of the frames' rows and columns."""
         matrices = [patch.grid.matrices for patch in self.session.model.patches]
-        return [(m.u[view.rows], m.v[view.columns]) for m, view in zip(matrices, self._views, strict=True)]
+        return [(m.u[view.rows], m.v[view.columns]) for m, view in zip(matrices, self._views, strict=False)]
 
     def frame(self) -> Frame:
         """The session as it is now."""
         session, model, state = self.session, self.session.model, self.session.state
         pascal = model.metres_per_unit**-2
         patches = []
-        for index, (patch, view) in enumerate(zip(model.patches, self._views, strict=True)):
+        for index, (patch, view) in enumerate(zip(model.patches, self._views, strict=False)):
             matrices = patch.grid.matrices
             points = matrices.points(state.control_points[index], patch.surface.weights)[
                 np.ix_(view.rows, view.columns)
             ]
             pressure = np.zeros(view.rest.shape[:2])
             contact = np.zeros(view.rest.shape[:2], dtype=np.bool_)
-            mine = np.flatnonzero((session.contacts.face == index) & (session.depths > 0))
-            if len(mine):
+            for mine, u, v in self._touched(index):
                 c = session.contacts
-                i = _nearest(matrices.u[view.rows], c.u[mine])
-                j = _nearest(matrices.v[view.columns], c.v[mine])
+                i = _nearest(matrices.u[view.rows], u)
+                j = _nearest(matrices.v[view.columns], v)
                 push = -np.einsum("nc,nc->n", session.forces[mine], c.normal[mine]) / c.area[mine] * pascal
                 np.maximum.at(pressure, (i, j), push)
                 contact[i, j] = True
@@ -109,18 +110,37 @@ class FrameMaker:
                     view.inside,
                 )
             )
-        tools = tuple(
-            ToolFrame(tool.name, pose.to_world(points), triangles)
-            for tool, pose, (points, triangles) in zip(model.tools, state.poses, self._outlines, strict=True)
-        )
+        tools = tuple(self._tool(number) for number in range(len(model.tools)))
         return Frame(state.step, state.time, tuple(patches), tools)
 
+    def _touched(self, patch: int) -> list[tuple[Index, Array, Array]]:
+        """The contacts on a model's patch, as rows and the parameters u and v there: those listed on it, and those with bodies
+        that come before its own."""
+        model, c = self.session.model, self.session.contacts
+        body, deep = model.patches[patch].body, self.session.depths > 0
+        mine = np.flatnonzero((c.face == patch) & deep)
+        place = model.faces_of[body].index(patch)
+        other = np.flatnonzero((c.b == body) & (c.tool_face == place) & deep)
+        found = [(mine, c.u[mine], c.v[mine]), (other, c.tool_u[other], c.tool_v[other])]
+        return [rows for rows in found if len(rows[0])]
+
+    def _tool(self, number: int) -> ToolFrame:
+        """A tool as it is now."""
+        state, tool = self.session.state, self.session.model.tools[number]
+        pose, (points, triangles) = state.poses[number], self._outlines[number]
+        if not tool.patches or not isinstance(tool.tool, SurfaceTool):
+            return ToolFrame(tool.name, pose.to_world(points), triangles)
+        now = pose.to_world(outline_points(tool.tool, [state.control_points[i] for i in tool.patches]))
+        return ToolFrame(tool.name, now, triangles, now - pose.to_world(points))
+
     def lattices(self) -> list[LatticeFrame]:
-        """The hexahedra of every patch as they are now."""
+        """The hexahedra of every patch as they are now, those of tools behind those of models."""
         model = self.session.model
+        tools = [f"{model.bodies[p.body]}: {p.name}" for p in model.patches[len(self.names) :]]
+        names = [*self.names, *tools]
         return [
             LatticeFrame(
-                name=self.names[i],
+                name=names[i],
                 nodes=self.session.lattice(i).x.copy(),
                 hexahedra=hexahedra(patch.lattice),
                 strain=nodal_strain(patch.lattice, self.session.lattice(i)),

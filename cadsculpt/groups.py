@@ -14,6 +14,9 @@ from .patch import Patch
 from .physics.assembly import Assembly, assemble
 from .physics.explicit import LatticeState
 from .physics.lattice import Lattice
+from .physics.seams import seam_ties
+from .physics.ties import Ties
+from .seams import Seam, seams_between
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -42,17 +45,26 @@ class Group:
 def group_patches(patches: Sequence[Patch], pairs: Pairs) -> tuple[Group, ...]:
     """Every patch in one group, in the order of their first patches. Patches of bodies that may meet are together, and those
     of one body that are tied along an edge."""
+    seams = seams_between(patches)
     of_body: dict[int, list[int]] = {}
     for i, patch in enumerate(patches):
         of_body.setdefault(patch.body, []).append(i)
-    joined: list[tuple[int, int]] = []
+    joined = [(seam.first, seam.second) for seam in seams]
     for a, b, meet in zip(pairs.a.tolist(), pairs.b.tolist(), pairs.meet.tolist(), strict=True):
         if meet and a in of_body and b in of_body:
             both = [*of_body[a], *of_body[b]]
             joined += [(both[0], other) for other in both[1:]]
-    return tuple(
-        Group(tuple(group), assemble([patches[i].lattice for i in group])) for group in together(len(patches), joined)
-    )
+    return tuple(_grouped(patches, tuple(group), seams) for group in together(len(patches), joined))
+
+
+def _grouped(patches: Sequence[Patch], group: tuple[int, ...], seams: Sequence[Seam]) -> Group:
+    parts, place = [patches[i].lattice for i in group], {i: k for k, i in enumerate(group)}
+    ties = [
+        seam_ties(parts, place[seam.first], seam.uv_first, place[seam.second], seam.uv_second)
+        for seam in seams
+        if seam.first in place
+    ]
+    return Group(group, assemble(parts, Ties.joined(ties) if ties else None))
 
 
 def placed_nodes(group: Group, patches: Sequence[Patch], frames: Mapping[int, Pose]) -> Array:

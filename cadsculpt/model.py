@@ -151,13 +151,13 @@ def build_model(
     models = len(bodies)
     corners = [rigid[making.name].box_corners if making.name in rigid else making.corners() for making in makings]
     boxes = [
-        making.reached(box[None]) if making.path is None else making.reached(swept_boxes(box, making.path))
+        EVERYWHERE if making.free else box[None] if making.path is None else swept_boxes(box, making.path)
         for making, box in zip(makings, corners, strict=True)
     ]
     pairs = Pairs.between(
         [
-            Party(making.name, k < models, making.substance is not None, making.solids, reached)
-            for k, (making, reached) in enumerate(zip(makings, boxes, strict=True))
+            Party(making.name, k < models, making.substance is not None, making.solids, grown(held, making.bulge))
+            for k, (making, held) in enumerate(zip(makings, boxes, strict=True))
         ]
     )
     patches: list[Patch] = []
@@ -168,7 +168,7 @@ def build_model(
         if making.free:
             swept = EVERYWHERE
         elif making.path is not None and making.substance is not None:
-            swept = seen_boxes(swept, grown(corners[k][None], making.substance.thickness)[0], making.path)
+            swept = seen_boxes(swept, corners[k], making.path)
         made = making.built(scene, k, swept, unit)
         patches += [face for face in made if isinstance(face, Patch)]
         rigid_faces += [face for face in made if isinstance(face, RigidFace)]
@@ -260,11 +260,10 @@ class _Making:
         points = np.concatenate([face.surface.control_points.reshape(-1, 3) for face in self.faces])
         return np.array([points.min(axis=0), points.max(axis=0)])
 
-    def reached(self, boxes: Array) -> Array:
-        """Boxes that hold it as it deforms, from those that hold it rigid."""
-        if self.substance is None:
-            return boxes
-        return EVERYWHERE if self.free else grown(boxes, self.substance.thickness)
+    @property
+    def bulge(self) -> float:
+        """How far it may come out of its box as it deforms."""
+        return 0.0 if self.substance is None else self.substance.thickness
 
     def built(self, scene: Scene, body: int, swept: Array, unit: float) -> list[Patch | RigidFace]:
         """Its faces, prepared. swept : see `build_patch`."""

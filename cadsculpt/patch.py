@@ -156,7 +156,7 @@ def build_patch(
         cell_material=np.where(on_face, index, 1),
         wrap=(nodes.wrap_u, nodes.wrap_v),
         period=(surface.domain[0][1] - surface.domain[0][0], surface.domain[1][1] - surface.domain[1][0]),
-        anchored=_anchored(substance, face, nodes, borders),
+        anchored=_anchored(substance, face, nodes, borders, siblings),
         metres_per_unit=unit,
     )
     held = _held(surface, nodes, face, borders)
@@ -330,8 +330,11 @@ def _dense(uv: Array, surface: BSplineSurface) -> Array:
     return np.concatenate([*parts, uv[-1:]])
 
 
-def _anchored(substance: Substance, face: SourceFace, nodes: NodeGrid, held: Sequence[SourceEdge]) -> Mask:
-    """Nodes (nu, nv, layers + 1) that stay where they are; layer 0 is the surface."""
+def _anchored(
+    substance: Substance, face: SourceFace, nodes: NodeGrid, held: Sequence[SourceEdge], siblings: frozenset[str]
+) -> Mask:
+    """Nodes (nu, nv, layers + 1) that stay where they are; layer 0 is the surface. An edge between two faces of the body is
+    none of the body's edges."""
     shape = (len(nodes.u), len(nodes.v))
     through = np.zeros(shape, dtype=np.bool_)  # anchored through the whole thickness
     wrap = (nodes.wrap_u, nodes.wrap_v)
@@ -344,10 +347,12 @@ def _anchored(substance: Substance, face: SourceFace, nodes: NodeGrid, held: Seq
                 names.add(item)
             elif item.face is None or item.face in (face.name, face.number):
                 through |= _in_range(nodes.u, item.u)[:, None] & _in_range(nodes.v, item.v)[None, :]
+    inner = [edge for edge in face.edges if edge.neighbours and siblings.issuperset(edge.neighbours)]
     for edge in face.edges:
-        if not edge.seam and (substance.anchor == "edges" or names.intersection(edge.neighbours)):
+        outer = substance.anchor == "edges" and edge not in inner
+        if not edge.seam and (outer or names.intersection(edge.neighbours)):
             through |= _crossed(edge.uv, nodes)
-    if substance.anchor == "edges":
+    if substance.anchor == "edges" and not inner:
         for axis in (0, 1):
             if not wrap[axis]:
                 border = (slice(None),) * axis + ([0, -1],)

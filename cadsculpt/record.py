@@ -38,11 +38,16 @@ class PatchFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolFrame:
-    """One tool at one moment, posed, as a mesh for pictures: points (k, 3), triangles (f, 3)."""
+    """One tool at one moment, posed, as a mesh for pictures: points (k, 3), triangles (f, 3).
+
+    displacement (k, 3) : how far a deformable one is pressed out of its shape, so that `points - displacement` is the tool
+    as it would be if it were rigid. None of a rigid one.
+    """
 
     name: str
     points: Array
     triangles: Index
+    displacement: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +90,9 @@ class ContactRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LatticeFrame:
-    """The hexahedral lattice under one face.
+    """The hexahedral lattice under one face, of a deformable tool where it is in the world.
 
+    name : the face's, of a tool "tool: face".
     nodes (N, 3) : positions. hexahedra (M, 8) : node indices, in VTK's order. strain (N,) : largest spring strain at
     the node. plastic (N,) : largest plastic set at the node, as a strain. material (M,) : index of the cell's material.
     active (M,) : the cells that belong to the body; the others lie beyond the trims.

@@ -94,8 +94,8 @@ class Session:
     source : a `Model`, or a scene that builds one. After `step`, `contacts` and `forces` (n, 3) [N, on the bodies a] hold
     the contacts that acted during it, `depths` (n,) how deep they are at its end (in the deepest piece of a step that
     continuous collision cuts). `clock`, a timer in seconds, fills `timing` with the seconds that each phase of each step
-    took. `undecided` : per pair of bodies, how deep a contact may have been that was not found (see `query.Undecided`); empty
-    as a rule.
+    took. `undecided` : per pair of bodies, how deep a contact may have been that was not found (see `query.Undecided`);
+    empty as a rule.
     """
 
     source: Model | Buildable

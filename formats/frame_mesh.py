@@ -38,7 +38,8 @@ class FrameMesh:
     """One frame as polygons, patches first, then tools.
 
     bodies : the names; tool (nb,) : which of them are tools. points (k, 3); body (k,) : the body of each point.
-    displacement (k, 3), pressure (k,) [Pa], contact (k,), stress (k,) [Pa] : zero on tools. Polygon c has the points
+    displacement (k, 3) : zero on rigid tools. pressure (k,) [Pa], contact (k,), stress (k,) [Pa] : zero on tools.
+    Polygon c has the points
     connectivity[offsets[c]:offsets[c + 1]] and belongs to cell_body[c].
     """
 
@@ -109,7 +110,9 @@ class FrameMesher:
             points=_joined(points, (0, 3)),
             body=np.repeat(np.arange(count), sizes).astype(np.int64),
             displacement=_joined(
-                [g.at(p.displacement) for p, g in patches] + [np.zeros((len(p), 3)) for p in tool_points], (0, 3)
+                [g.at(p.displacement) for p, g in patches]
+                + [np.zeros((len(t.points), 3)) if t.displacement is None else t.displacement for t in frame.tools],
+                (0, 3),
             ),
             pressure=_joined([g.at(p.pressure) for p, g in patches] + nothing, (0,)),
             contact=_joined([g.flags_at(p.contact).astype(float) for p, g in patches] + nothing, (0,)) > 0.0,

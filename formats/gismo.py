@@ -15,10 +15,11 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import GeometryError, InputError
+from ..errors import InputError
 from ..spline.surface import BSplineSurface, Provenance
 from .part import Part
 from .paths.path_text import text_of_file
+from .u_fastest import rows_of_surface, surface_of_rows
 
 Array = NDArray[np.float64]
 
@@ -102,21 +103,15 @@ def _surface(item: ElementTree.Element, rational: bool, name: str, where: str, f
         weights = _numbers(found, where)
         if len(weights) != r * s:
             raise InputError(f"{len(weights)} weights for {r} x {s} control points", where=where)
-    surface = BSplineSurface(
-        control_points=points.reshape(s, r, 3).transpose(1, 0, 2),
-        knots_u=knots_u,
-        knots_v=knots_v,
-        degree_u=p,
-        degree_v=q,
-        weights=None if weights is None else weights.reshape(s, r).T,
+    return surface_of_rows(
+        points,
+        weights,
+        (knots_u, knots_v),
+        (p, q),
         name=name,
         provenance=Provenance(file, where.rsplit(", ", 1)[1], ""),
+        where=where,
     )
-    try:
-        surface.validate()
-    except GeometryError as error:
-        raise InputError(error.what, where=where, mend=error.mend) from None
-    return surface
 
 
 def _knots(basis: ElementTree.Element, where: str) -> tuple[Array, int]:
@@ -170,13 +165,13 @@ def text_of_surfaces(surfaces: Sequence[BSplineSurface]) -> str:
                 " </Basis>",
             ]
         basis.append("</Basis>")
-        if surface.weights is not None:
-            weights = "\n".join(map(repr, surface.weights.T.ravel().tolist()))
+        net, row = rows_of_surface(surface)
+        if row is not None:
+            weights = "\n".join(map(repr, row.tolist()))
             basis = ['<Basis type="TensorNurbsBasis2">', *(f" {line}" for line in basis)]
             basis += [f" <weights>{weights}", "</weights>", "</Basis>"]
         lines += [f"  {line}" for line in basis]
-        rows = surface.control_points.transpose(1, 0, 2).reshape(-1, 3).tolist()
-        lines.append('  <coefs geoDim="3">' + "\n".join(" ".join(map(repr, row)) for row in rows))
+        lines.append('  <coefs geoDim="3">' + "\n".join(" ".join(map(repr, point)) for point in net.tolist()))
         lines += ["</coefs>", " </Geometry>"]
     last = len(surfaces) - 1
     lines += [' <MultiPatch parDim="2" id="0">', f'  <patches type="id_range">0 {last}</patches>', " </MultiPatch>"]

@@ -20,10 +20,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import CadsculptError, GeometryError, InputError
+from ..errors import CadsculptError, InputError
 from ..spline.surface import BSplineSurface, Provenance, TrimCurve, TrimLoop
 from .part import Part
 from .paths.path_text import text_of_file
+from .u_fastest import rows_of_surface, surface_of_rows
 
 Array = NDArray[np.float64]
 
@@ -178,21 +179,15 @@ def _surface(words: _Words, name: str, where: str) -> BSplineSurface:
     if r * s > MOST:
         raise words.fault(f"a net of {r} x {s} control points")
     points, weights = words.points(r * s, 3, rational)
-    surface = BSplineSurface(
-        control_points=points.reshape(s, r, 3).transpose(1, 0, 2),
-        knots_u=knots_u,
-        knots_v=knots_v,
-        degree_u=p,
-        degree_v=q,
-        weights=None if weights is None else weights.reshape(s, r).T,
+    return surface_of_rows(
+        points,
+        weights,
+        (knots_u, knots_v),
+        (p, q),
         name=name,
         provenance=Provenance(Path(where.rsplit(":", 1)[0]).name, f"line {where.rsplit(':', 1)[1]}", ""),
+        where=where,
     )
-    try:
-        surface.validate()
-    except GeometryError as error:
-        raise InputError(error.what, where=where, mend=error.mend) from None
-    return surface
 
 
 def _curve(words: _Words, dimension: int) -> TrimCurve:
@@ -265,8 +260,7 @@ def text_of_surfaces(surfaces: Sequence[BSplineSurface]) -> str:
         lines += [f"3 {int(surface.rational)}"]
         lines += _direction_lines(r, surface.degree_u, surface.knots_u)
         lines += _direction_lines(s, surface.degree_v, surface.knots_v)
-        net = surface.control_points.transpose(1, 0, 2).reshape(-1, 3)
-        lines += _point_lines(net, None if surface.weights is None else surface.weights.T.ravel())
+        lines += _point_lines(*rows_of_surface(surface))
         if surface.trims:
             lines += ["", str(len(surface.trims))]
             for loop in surface.trims:

@@ -1,61 +1,53 @@
-"""IGES files (versions up to 5.3), read and written by the CAD kernel."""
+"""IGES files (versions up to 5.3), read by the CAD kernel; what it drops or misreads without a word is read here."""
 
 from __future__ import annotations
 
-import io
-import re
 import tempfile
 from collections import Counter
 from pathlib import Path
 
 from OCP.IFSelect import IFSelect_ReturnStatus
-from OCP.IGESCAFControl import IGESCAFControl_Reader, IGESCAFControl_Writer
+from OCP.IGESCAFControl import IGESCAFControl_Reader
 from OCP.IGESControl import IGESControl_Controller
-from OCP.IGESData import IGESData_IGESWriter
+from OCP.IGESData import IGESData_IGESEntity
 from OCP.Interface import Interface_Static
-from OCP.TopAbs import TopAbs_ShapeEnum
-from OCP.TopExp import TopExp_Explorer
-from OCP.TopoDS import TopoDS_Shape
+from OCP.TDocStd import TDocStd_Document
+from OCP.TopLoc import TopLoc_Location
+from OCP.TopoDS import TopoDS_Face
+from OCP.XSControl import XSControl_TransferReader
 
-from .._version import __version__
-from ..errors import InputError
+from ..errors import CadsculptError, InputError
 from ..units import conversion, unit_name
-from .atomic import write_whole
 from .iges_entities import creased_surfaces, damaged_entities
-from .iges_records import IgesFile, order_properties, parse, text_of
+from .iges_kernel import for_kernel, unit_of
+from .iges_part import IgesPart, Source
+from .iges_patches import patch_of
+from .iges_records import Entity, IgesFile, parse, text_of
 from .occt.document import (
     METRES_PER_MM,
     FaceNames,
+    add_shapes,
     count_faces,
     face_names,
     faces_in,
     free_shapes,
+    name_faces,
     new_document,
     set_length_unit,
     wrong_entities,
 )
-from .occt.part import OcctPart
 from .occt.probe import ensure_survives
 from .occt.quiet import quiet
-from .step_text import REAL_FORMAT, step_real
+from .occt.shape import shape_of_surface
 
-UNIT_OF_FLAG = {1: "in", 2: "mm", 4: "ft", 5: "mi", 6: "m", 7: "km", 8: "mil", 9: "um", 10: "cm", 11: "uin"}
-"""Length units by the global section's unit flag; flag 3 goes by the name."""
+_BOUNDED = {143: 2, 144: 1, 510: 1}
+"""Types of bounded faces, and where among their parameters the surface stands."""
 
-_KERNEL_UNITS = {
-    "um": "UM", "mm": "MM", "cm": "CM", "m": "M", "km": "KM", "in": "INCH", "ft": "FT", "mi": "MI", "mil": "MIL",
-    "uin": "UIN",
-}  # fmt: skip
-
-DATE = "15H20000101.000000"
-"""The header's dates: a clock would make every file different."""
-
-_BOUNDED = {143, 144, 510}
 _SURFACES = {114, 118, 120, 122, 128, 140, 190, 192, 194, 196, 198}
-_REAL = re.compile(r"-?\d\.\d{16}E[+-]\d+")
+_FACES = {*_BOUNDED, *_SURFACES, 108}
 
 
-def read(path: Path, *, units: str | None = None) -> OcctPart:
+def read(path: Path, *, units: str | None = None) -> IgesPart:
     """Read an IGES file. `units`: take its numbers to be in this unit, whatever the file says.
 
     Raises InputError, in one line, when the file is missing, empty, no IGES file, beyond reading or without surfaces.
@@ -63,56 +55,117 @@ def read(path: Path, *, units: str | None = None) -> OcctPart:
     return load(path, units=units)
 
 
-def load(path: Path, *, units: str | None = None, probing: bool = False) -> OcctPart:
+def load(path: Path, *, units: str | None = None, probing: bool = False) -> IgesPart:
     """`read`; when not `probing`, a file that looks damaged is tried in another process first."""
     data = _content(path)
-    file = parse(data.decode("latin-1"))
+    try:
+        file = parse(data.decode("latin-1"))
+    except InputError as error:
+        raise InputError(error.what, where=str(path), mend=error.mend) from None
     if not file.entities:
         raise InputError("this is no IGES file", where=str(path), mend="its lines have S, G, D and P in column 73")
-    tried = probing
     file.broken += damaged_entities(file)
-    if not tried and (file.broken or file.disordered or not file.complete):
-        ensure_survives(path, "iges")
-        tried = True
-    warnings = []
+    unit = unit_of(file)
+    warnings = [*_set_right(file), *unit.said]
+    made = for_kernel(file, unit)
+    if made is not None:
+        warnings += made[1]
+    text = None if file.conforms and made is None else text_of(made[0] if made else file)
+    document, name, factor = new_document(), unit.name, unit.kernel_factor
+    if units is not None:
+        name = unit_name(units)
+        factor *= conversion(name, unit.name)
+    names, dead, unknown = FaceNames(), "", 0
+    places: dict[int, TopoDS_Face] = {}
+    with quiet():
+        try:
+            if not probing and (file.broken or file.disordered or not file.complete):
+                ensure_survives(path, "iges")
+            reader = _loaded(path, text, file)
+            if not probing and wrong_entities(reader.WS().Model()):
+                ensure_survives(path, "iges")
+        except InputError as error:
+            dead = error.what
+        else:
+            set_length_unit(document, METRES_PER_MM / factor)
+            reader.Transfer(document)
+            set_length_unit(document, METRES_PER_MM)
+            unknown = _look_up(reader, document, owners_of(file), names, places)
+        # a face of unknown origin may be any of those that are missing
+        own = [] if unknown else _read_here(file, places, name, document, names)
+        count = count_faces(free_shapes(document))
+    if count == 0:
+        raise InputError(dead or _nothing(file), where=str(path), mend=_mend(file))
+    if dead:
+        warnings.append(f"{dead}; what follows was read by cadsculpt's own reader")
+    warnings += [*own, *_losses(file, count)]
+    whole = units is None and not (dead or own or unknown or file.broken) and file.complete
+    source = Source(
+        data.decode("latin-1"), file, places, conversion(name, "mm"), whole and count == len(faces_of(file))
+    )
+    return IgesPart(document, path, name, source, warnings=warnings, names=names)
+
+
+def _set_right(file: IgesFile) -> list[str]:
+    """What is not as the standard wants it, and was put right or will be noticed elsewhere."""
+    lines = [f"{what}; the file was set right" for what in file.mended]
+    if file.disordered:
+        lines.append(f"{file.disordered} of its lines are not numbered in their order; they were set right")
     if file.crowded:
-        warnings.append(
+        lines.append(
             f"{file.crowded} of its lines run into column 65, which the standard keeps blank; they were set right"
         )
     creased = creased_surfaces(file)
     if creased:
-        warnings.append(
+        lines.append(
             f"{creased} of its surfaces have knots of full multiplicity; areas are integrated exactly here, while"
             " OpenCASCADE's quadrature, which other readers show, can be 1 % off on such faces"
         )
-    with quiet():
-        IGESControl_Controller.Init_s()
-        Interface_Static.SetIVal_s("read.iges.bspline.continuity", 0)
-        reader = IGESCAFControl_Reader()
-        for mode in ("Name", "Color", "Layer"):
-            getattr(reader, f"Set{mode}Mode")(True)
-        status = _load(reader, path, text_of(file) if file.crowded else None)
-        if status != IFSelect_ReturnStatus.IFSelect_RetDone:
-            raise InputError("the CAD kernel cannot read it", where=str(path), mend=_mend(file))
-        if not tried and wrong_entities(reader.WS().Model()):
-            ensure_survives(path, "iges")
-        unit, said = _unit_of(file)
-        warnings += said
-        factor = 1.0
-        if units is not None:
-            factor = conversion(unit_name(units), unit)
-            unit = unit_name(units)
-        document = new_document()
-        set_length_unit(document, METRES_PER_MM / factor)
-        done = reader.Transfer(document)
-        set_length_unit(document, METRES_PER_MM)
-        shapes = free_shapes(document)
-        count = count_faces(shapes)
-        if not done or count == 0:
-            raise InputError(_nothing(file), where=str(path), mend=_mend(file))
-        warnings += _losses(file, count)
-        names = _names(reader, face_names(document))
-    return OcctPart(document, path, "iges", unit, warnings=warnings, names=names)
+    return lines
+
+
+def _loaded(path: Path, text: str | None, file: IgesFile) -> IGESCAFControl_Reader:
+    """The kernel's reader with the file, or with `text` in its place. Raises InputError when it takes neither."""
+    IGESControl_Controller.Init_s()
+    Interface_Static.SetIVal_s("read.iges.bspline.continuity", 0)
+    reader = IGESCAFControl_Reader()
+    for mode in ("Name", "Color", "Layer"):
+        getattr(reader, f"Set{mode}Mode")(True)
+    if _load(reader, path, text) != IFSelect_ReturnStatus.IFSelect_RetDone:
+        raise InputError("the CAD kernel cannot read it", where=str(path), mend=_mend(file))
+    return reader
+
+
+def _read_here(
+    file: IgesFile, places: dict[int, TopoDS_Face], unit: str, document: TDocStd_Document, names: FaceNames
+) -> list[str]:
+    """Put into the document the faces that the kernel dropped; returns what to say of them."""
+    scale = conversion(unit, "mm")
+    shapes: list[tuple[str, TopoDS_Face]] = []
+    said: list[str] = []
+    for entity in faces_of(file):
+        if entity.pointer in places:
+            continue
+        try:
+            surface, lines = patch_of(file, entity)
+            shape = shape_of_surface(surface.scaled(scale))
+        except CadsculptError:
+            continue  # the count of faces tells
+        except Exception:  # the kernel's own errors have no common base
+            continue
+        label = entity.fields[17].strip()
+        shapes.append((label or f"entity {entity.pointer}", shape))
+        places[entity.pointer] = shape
+        names.add(shape, label)
+        said += [f"entity {entity.pointer}: {line}" for line in lines]
+    add_shapes(document, shapes)
+    if shapes:
+        said.insert(
+            0,
+            f"the CAD kernel drops {len(shapes)} of its {len(faces_of(file))} faces: they were read by cadsculpt's own"
+            " reader",
+        )
+    return said
 
 
 def _content(path: Path) -> bytes:
@@ -136,13 +189,29 @@ def _load(reader: IGESCAFControl_Reader, path: Path, text: str | None) -> IFSele
         return reader.ReadFile(str(copy))
 
 
-def expected_faces(file: IgesFile) -> int:
-    """How many faces a file should give: bounded surfaces, and surfaces that stand by themselves."""
-    return sum(e.type in _BOUNDED or (e.type in _SURFACES and e.independent) for e in file.entities)
+def faces_of(file: IgesFile) -> list[Entity]:
+    """The entities that should each give a face: bounded surfaces, and surfaces that stand by themselves."""
+    bounded = [entity for entity in file.entities if entity.type in _BOUNDED]
+    used = owners_of(file)
+    alone = [e for e in file.entities if e.type in _SURFACES and e.independent and e.pointer not in used]
+    planes = [
+        e for e in file.entities if e.type == 108 and e.independent and e.parameters[5:6] not in ([], ["0"], [""])
+    ]
+    return sorted([*bounded, *alone, *planes], key=lambda entity: entity.pointer)
+
+
+def owners_of(file: IgesFile) -> dict[int, list[int]]:
+    """The bounded faces of each surface that has some, by their places in the directory."""
+    found: dict[int, list[int]] = {}
+    for entity in file.entities:
+        place = _BOUNDED.get(entity.type)
+        if place is not None and place < len(entity.parameters) and entity.parameters[place].isdigit():
+            found.setdefault(int(entity.parameters[place]), []).append(entity.pointer)
+    return found
 
 
 def _nothing(file: IgesFile) -> str:
-    expected = expected_faces(file)
+    expected = len(faces_of(file))
     if expected:
         return f"none of its {expected} surfaces can be read"
     others = Counter(entity.type for entity in file.entities)
@@ -165,99 +234,64 @@ def _losses(file: IgesFile, count: int) -> list[str]:
         lines.append("the file breaks off before its end; what stands in it was read")
     if file.broken:
         lines.append(f"{file.broken} entities of the file are damaged")
-    if count < expected_faces(file):
-        lines.append(f"the file holds {expected_faces(file)} surfaces, {count} could be read")
+    expected = len(faces_of(file))
+    if count < expected:
+        lines.append(f"the file holds {expected} surfaces, {count} could be read")
     return lines
 
 
-def _unit_of(file: IgesFile) -> tuple[str, list[str]]:
-    """The file's length unit from its global section, and what to say about it."""
-    flag, name = [*file.header[13:15], "", ""][:2]
-    number = int(flag) if flag.strip().isdigit() else (1 if not flag.strip() else 0)
-    if number in UNIT_OF_FLAG:
-        return UNIT_OF_FLAG[number], []
-    text = re.sub(r"^\d+H", "", name)
-    try:
-        return unit_name(text), []
-    except InputError:
-        return "mm", [f"the file's length unit {text!r} (flag {flag!r}) is not known; its numbers are taken as mm"]
+def _look_up(
+    reader: IGESCAFControl_Reader,
+    document: TDocStd_Document,
+    owners: dict[int, list[int]],
+    names: FaceNames,
+    places: dict[int, TopoDS_Face],
+) -> int:
+    """Which entity each of the kernel's faces comes from, and its name, from properties and labels, where it has none.
 
-
-def _names(reader: IGESCAFControl_Reader, names: FaceNames) -> FaceNames:
-    """Face names from the entities' name properties and labels, where the document has none."""
+    Returns how many faces are of unknown origin.
+    """
     session = reader.WS()
     model, transfer = session.Model(), session.TransferReader()
-    for i in range(1, model.NbEntities() + 1):
-        entity = model.Value(i)
-        if entity.TypeNumber() not in _BOUNDED | _SURFACES:
-            continue
-        shape = transfer.ShapeResult(entity)
-        if shape is None or shape.IsNull():
-            continue
-        faces = list(faces_in(shape))
-        if len(faces) != 1:
-            continue
-        if entity.HasName():
-            names.add(faces[0], entity.NameValue().ToCString())
-        elif entity.HasShortLabel():
-            label = entity.ShortLabel().ToCString().strip()
-            number = entity.SubScriptNumber() if entity.HasSubScriptNumber() else 0
-            names.add(faces[0], f"{label}_{number}" if label and number else label)
-    return names
+    said = face_names(document)
+    unknown, renamed = 0, []
+    for shape in free_shapes(document):
+        for face in faces_in(shape):
+            entity = _origin(transfer, face)
+            if entity is None:
+                unknown += 1
+            else:
+                pointer = model.DNum(entity)
+                # of a bounded surface without bounds the kernel names the surface
+                pointer = next((p for p in owners.get(pointer, ()) if p not in places), pointer)
+                places.setdefault(pointer, face)
+                names.add(face, _name(entity))
+            names.add(face, said.of(face))
+            if names.of(face) != said.of(face):
+                renamed.append((names.of(face), face))
+    name_faces(document, renamed)
+    return unknown
 
 
-# ---------------------------------------------------------------------- writing
+def _name(entity: IGESData_IGESEntity) -> str:
+    """An entity's name, from its property or its label; "" when it has neither."""
+    label = str(entity.ShortLabel().ToCString()).strip() if entity.HasShortLabel() else ""
+    number = entity.SubScriptNumber() if entity.HasSubScriptNumber() else 0
+    whole = f"{label}({number})" if number else label
+    said = str(entity.NameValue().ToCString()).strip() if entity.HasName() else ""
+    # the kernel makes a name of the label, with a (0) behind it where the label has no number
+    return whole if label and said in ("", f"{label}({number})") else said
 
 
-def write(part: OcctPart, path: Path) -> None:
-    """Write a part as IGES 5.3 in its own unit, with names and colours.
-
-    One part gives the same bytes at any time in any process. Raises InputError when it cannot be written; nothing is
-    left behind then.
-    """
-    with quiet():
-        text = text_of_part(part, path.name)
-    write_whole(path, text.encode("latin-1", "replace"))
-
-
-def text_of_part(part: OcctPart, name: str) -> str:
-    """The IGES file of a part. `name` goes into the header."""
-    IGESControl_Controller.Init_s()
-    Interface_Static.SetCVal_s("write.iges.unit", _KERNEL_UNITS.get(part.units, "MM"))
-    Interface_Static.SetIVal_s("write.iges.brep.mode", int(_has_solid(part.shape)))
-    writer = IGESCAFControl_Writer()
-    for mode in ("Name", "Color", "Layer"):
-        getattr(writer, f"Set{mode}Mode")(True)
-    if not writer.Transfer(part.document):
-        raise InputError("the CAD kernel cannot write the part as IGES", where=str(part.path))
-    writer.ComputeModel()
-    sender = IGESData_IGESWriter(writer.Model())
-    numbers = sender.FloatWriter()
-    numbers.SetFormat(REAL_FORMAT)
-    numbers.SetZeroSuppress(False)
-    sender.SendModel(writer.Model().Protocol())
-    stream = io.BytesIO()
-    if not sender.Print(stream):
-        raise InputError("the CAD kernel cannot write the part as IGES", where=str(part.path))
-    return text_of(_settled(parse(stream.getvalue().decode("latin-1")), name))
-
-
-def _settled(file: IgesFile, name: str) -> IgesFile:
-    """The kernel's file with shortest exact numbers and a header that tells no time and no person."""
-    for entity in file.entities:
-        entity.parameters = [step_real(float(p)) if _REAL.fullmatch(p) else p for p in entity.parameters]
-    order_properties(file)  # the kernel has them in the order of memory addresses
-    system = f"cadsculpt {__version__}"
-    header = {2: "cadsculpt part", 3: name, 4: system, 5: "Open CASCADE 8", 11: "", 20: "", 21: ""}
-    for place, text in header.items():
-        if place < len(file.header):
-            file.header[place] = f"{len(text)}H{text}" if text else ""
-    for place in (17, 24):
-        if place < len(file.header):
-            file.header[place] = DATE
-    file.header = [step_real(float(p)) if _REAL.fullmatch(p) else p for p in file.header]
-    return file
-
-
-def _has_solid(shape: TopoDS_Shape) -> bool:
-    return bool(TopExp_Explorer(shape, TopAbs_ShapeEnum.TopAbs_SOLID).More())
+def _origin(transfer: XSControl_TransferReader, face: TopoDS_Face) -> IGESData_IGESEntity | None:
+    """The entity that the kernel made a face of; None when it cannot tell."""
+    bare = face.Located(TopLoc_Location())
+    for mode in (1, 2):
+        for shape in (face, bare):
+            try:
+                entity = transfer.EntityFromShapeResult(shape, mode)
+            except Exception:  # the kernel looks up what is not there
+                continue
+            if entity is not None and entity.TypeNumber() in _FACES:
+                return entity
+    return None

@@ -79,20 +79,33 @@ def number(token: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _sound_spline(p: list[str]) -> bool:
-    """A B-spline curve or surface has as many knots, weights and points as its degrees ask, knots ascend, weights > 0."""
+def spline_counts(p: list[str]) -> tuple[list[int], list[int]] | None:
+    """Upper indices and degrees of a B-spline curve (one each) or surface (two each); None when they cannot be."""
+    if not p:
+        return None
     surface = p[0].strip() == "128"
     heads = [_count(p, i) for i in range(1, 5 if surface else 3)]
     if any(head is None for head in heads):
-        return False
+        return None
     numbers = [head for head in heads if head is not None]
     upper, degree = (numbers[:2], numbers[2:]) if surface else (numbers[:1], numbers[1:])
-    if any(not 1 <= m <= k for k, m in zip(upper, degree, strict=True)):
+    return (upper, degree) if all(1 <= m <= k for k, m in zip(upper, degree, strict=True)) else None
+
+
+def _sound_spline(p: list[str]) -> bool:
+    """A B-spline curve or surface has as many knots, weights and points as its degrees ask, knots ascend, weights > 0.
+
+    The parameter range at the end may be missing: it is that of the knots.
+    """
+    counts = spline_counts(p)
+    if counts is None:
         return False
+    upper, degree = counts
+    surface = len(upper) == 2
     at = 10 if surface else 7
     lengths = [k + m + 2 for k, m in zip(upper, degree, strict=True)]
     poles = math.prod(k + 1 for k in upper)
-    if len(p) < at + sum(lengths) + 4 * poles + 2 * len(upper):
+    if len(p) < at + sum(lengths) + 4 * poles:
         return False
     values = [number(token) for token in p[at : at + sum(lengths) + 4 * poles + 2 * len(upper)]]
     if any(value is None for value in values):

@@ -9,10 +9,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-_WIDTH = 64
-"""Columns of a parameter line that hold data."""
+from .iges_lines import DATA, WIDTH, in_order, sections_of
 
-_GLOBAL_WIDTH = 72
 _HOLLERITH = re.compile(r"(\d+)H")
 
 
@@ -57,45 +55,93 @@ class IgesFile:
     """Parameter lines with a delimiter in column 65, which should be blank; readers that keep to the standard lose it."""
     disordered: int = 0
     """Lines whose own number, or whose entity's number, is not the one of their place."""
+    mended: list[str] = field(default_factory=list)
+    """What else had to be set right to read the file."""
+
+    def at(self, pointer: int) -> Entity | None:
+        """The entity at a place in the directory; None when there is none."""
+        place = (pointer - 1) // 2
+        return self.entities[place] if pointer % 2 == 1 and 0 <= place < len(self.entities) else None
+
+    @property
+    def conforms(self) -> bool:
+        """The file is as the standard wants it, so that other readers understand it as it is."""
+        return not (self.mended or self.crowded or self.disordered)
 
 
 def parse(text: str) -> IgesFile:
-    """Take a file apart. Lines that belong to no section (comments after the data) are left out."""
-    sections: dict[str, list[str]] = {letter: [] for letter in "SGDPT"}
-    for line in text.splitlines():
-        if len(line) > _GLOBAL_WIDTH and line[_GLOBAL_WIDTH] in sections:
-            sections[line[_GLOBAL_WIDTH]].append(line)
-    disordered = sum(
-        _integer(line[_GLOBAL_WIDTH + 1 : 80]) != n for letter in "SGDP" for n, line in enumerate(sections[letter], 1)
-    )
-    file = IgesFile(disordered=disordered, start=[line[:_GLOBAL_WIDTH].rstrip() for line in sections["S"]])
-    header = "".join(line[:_GLOBAL_WIDTH] for line in sections["G"])
+    """Take a file apart. Lines that belong to no section (comments after the data) are left out.
+
+    Raises InputError for the forms of IGES that are not in lines of text.
+    """
+    sections, mended = sections_of(text)
+    disordered = sum(_integer(line[DATA + 1 :]) != n for letter in "SGDP" for n, line in enumerate(sections[letter], 1))
+    if disordered:
+        sections = {letter: in_order(lines) for letter, lines in sections.items()}
+    file = IgesFile(disordered=disordered, mended=mended, start=[line[:DATA].rstrip() for line in sections["S"]])
+    header = "".join(line[:DATA] for line in sections["G"])
     file.separator, file.terminator = _delimiters(header)
-    file.header = tokens(header, file.separator, file.terminator)
+    file.header, wrong = header_of(header, file.separator, file.terminator)
+    if wrong:
+        mended.append(f"{wrong} texts in its head have another length than they say")
     file.complete = bool(sections["T"])
-    directory, lines = sections["D"], [_data(line, file) for line in sections["P"]]
+    parameters = _Parameters(sections["P"], file)
+    directory = sections["D"]
     for i in range(0, len(directory) - 1, 2):
-        first, second = directory[i].ljust(80), directory[i + 1].ljust(80)
-        fields = [row[8 * k : 8 * k + 8] for row in (first, second) for k in range(9)]
+        fields = [row[8 * k : 8 * k + 8] for row in directory[i : i + 2] for k in range(9)]
         fields.insert(9, "")
         fields.append("")
-        begin, count = _integer(fields[1]), _integer(fields[13])
-        own = lines[begin - 1 : begin - 1 + count] if begin > 0 else []
-        parameters = tokens("".join(own), file.separator, file.terminator)
-        backs = sections["P"][begin - 1 : begin - 1 + count] if begin > 0 else []
-        file.disordered += sum(_integer(line[_WIDTH + 1 : _GLOBAL_WIDTH].strip(" ,;")) != i + 1 for line in backs)
-        if not parameters or _integer(parameters[0]) != _integer(fields[0]):
+        values = parameters.of(i + 1, fields)
+        if not values or _integer(values[0]) != _integer(fields[0]):
             file.broken += 1
-        file.entities.append(Entity(i + 1, fields, parameters))
+        file.entities.append(Entity(i + 1, fields, values))
+    if parameters.astray:
+        mended.append(f"the directory says wrong of {parameters.astray} of its entities where their parameters stand")
     return file
+
+
+class _Parameters:
+    """The parameter section: which of its lines are an entity's."""
+
+    def __init__(self, lines: list[str], file: IgesFile) -> None:
+        self.astray = 0
+        self._file = file
+        self._lines = [_data(line, file) for line in lines]
+        self._owners = [_integer(line[WIDTH + 1 : DATA].strip(" ,;")) for line in lines]
+        self._first: dict[int, int] = {}
+        for place, owner in enumerate(self._owners):
+            self._first.setdefault(owner, place)
+
+    def of(self, pointer: int, fields: list[str]) -> list[str]:
+        """The parameters of the entity at `pointer`, from where its directory entry says, or from the lines that name it."""
+        begin, count = _integer(fields[1]) - 1, _integer(fields[13])
+        own = range(begin, min(begin + count, len(self._lines))) if begin >= 0 else range(0)
+        self._file.disordered += sum(self._owners[n] != pointer for n in own)
+        values, ended = self._read(own)
+        sound = bool(values) and ended and _integer(values[0]) == _integer(fields[0])
+        if not sound and pointer in self._first:
+            first = self._first[pointer]
+            named = range(
+                first, next((n for n in range(first, len(self._lines)) if self._owners[n] != pointer), len(self._lines))
+            )
+            others, ended = self._read(named)
+            if named != own and ended and others and _integer(others[0]) == _integer(fields[0]):
+                self.astray += 1
+                return others
+        return values
+
+    def _read(self, places: range) -> tuple[list[str], bool]:
+        """The parameters on these lines, and whether the record delimiter ends them."""
+        text = "".join(self._lines[n] for n in places)
+        return tokens(text, self._file.separator, self._file.terminator), self._file.terminator in text
 
 
 def _data(line: str, file: IgesFile) -> str:
     """The data of a parameter line; some exporters put the last delimiter into the column that should be blank."""
-    if line[_WIDTH] not in (file.separator, file.terminator):
-        return line[:_WIDTH]
+    if line[WIDTH] not in (file.separator, file.terminator):
+        return line[:WIDTH]
     file.crowded += 1
-    return line[: _WIDTH + 1]
+    return line[: WIDTH + 1]
 
 
 def _integer(text: str) -> int:
@@ -114,38 +160,84 @@ def _delimiters(header: str) -> tuple[str, str]:
     return separator, terminator
 
 
+_TEXTS = {0, 1, 2, 3, 4, 5, 11, 14, 17, 20, 21, 24}
+"""Places of the global section's parameters that are texts; all others are numbers (section 2.2.4.3)."""
+
+
+def header_of(text: str, separator: str, terminator: str) -> tuple[list[str], int]:
+    """The global section's parameters, and how many of its texts have another length than they say.
+
+    Such a text ends at the next delimiter.
+    """
+    counted = _tokens(text, separator, terminator, believed=True)
+    if not counted[1] and _is_header(counted[0]):
+        return counted
+    bounded = _tokens(text, separator, terminator, believed=False)
+    return bounded if _is_header(bounded[0]) else counted
+
+
+def _is_header(found: list[str]) -> bool:
+    """Numbers where the global section has numbers, texts where it has texts."""
+    return all(
+        token == "" or bool(_HOLLERITH.match(token)) == (place in _TEXTS) for place, token in enumerate(found[:25])
+    )
+
+
 def tokens(text: str, separator: str = ",", terminator: str = ";") -> list[str]:
     """Free-format parameters up to the record delimiter; strings (5Hhello) may hold delimiters."""
     if "H" not in text:
         return [token.strip() for token in text.split(terminator, 1)[0].split(separator)] if text.strip() else []
+    return _tokens(text, separator, terminator, believed=True)[0]
+
+
+def _tokens(text: str, separator: str, terminator: str, *, believed: bool) -> tuple[list[str], int]:
+    """The parameters, and how many strings are not as long as they say.
+
+    A string that no delimiter follows, and every one where the lengths are not to be believed, ends at the next delimiter.
+    """
     found: list[str] = []
-    at = 0
+    at = wrong = 0
     while at < len(text):
         while at < len(text) and text[at] == " ":
             at += 1
         match = _HOLLERITH.match(text, at)
         if match:
             end = match.end() + int(match[1])
-            token = text[at:end]
-            at = end
-            while at < len(text) and text[at] not in (separator, terminator):
-                at += 1
+            behind = text[end:].lstrip(" ")[:1]
+            delimiter = text[match.end() : match.end() + 1] if len(found) < 2 else ""
+            if delimiter == "" and not (believed and end <= len(text) and behind in ("", separator, terminator)):
+                stop = _delimited(text, match.end(), separator, terminator)
+                string = text[match.end() : stop].rstrip(" ")
+                if len(string) != int(match[1]) and text[match.end() : end].rstrip(" ") != string:
+                    wrong += 1
+                    token, at = f"{len(string)}H{string}", stop
+                else:
+                    token, at = text[at:end], stop
+            else:
+                token, at = text[at:end], end
+            at = _delimited(text, at, separator, terminator)
         else:
             begin = at
-            while at < len(text) and text[at] not in (separator, terminator):
-                at += 1
+            at = _delimited(text, at, separator, terminator)
             token = text[begin:at].strip()
         found.append(token)
         if at >= len(text) or text[at] == terminator:
             break
         at += 1
-    return found
+    return found, wrong
+
+
+def _delimited(text: str, at: int, separator: str, terminator: str) -> int:
+    """Where the next delimiter stands, or the end of the text."""
+    while at < len(text) and text[at] not in (separator, terminator):
+        at += 1
+    return at
 
 
 # ---------------------------------------------------------------------- back to text
 
 
-def _wrapped(parameters: list[str], width: int, separator: str, terminator: str) -> list[str]:
+def wrapped(parameters: list[str], width: int, separator: str, terminator: str) -> list[str]:
     """Parameters on lines of `width` columns; only strings longer than a line run over its end."""
     lines, line = [], ""
     for i, parameter in enumerate(parameters):
@@ -169,12 +261,12 @@ def text_of(file: IgesFile) -> str:
 
     for n, line in enumerate(file.start or [""], 1):
         put(line, "S", n)
-    header = _wrapped(file.header, _GLOBAL_WIDTH, file.separator, file.terminator)
+    header = wrapped(file.header, DATA, file.separator, file.terminator)
     for n, line in enumerate(header, 1):
         put(line, "G", n)
     parameter_lines: list[tuple[str, int]] = []
     for entity in file.entities:
-        own = _wrapped(entity.parameters, _WIDTH, file.separator, file.terminator)
+        own = wrapped(entity.parameters, WIDTH, file.separator, file.terminator)
         fields = list(entity.fields)
         fields[1], fields[13] = str(len(parameter_lines) + 1), str(len(own))
         parameter_lines += [(line, entity.pointer) for line in own]

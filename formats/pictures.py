@@ -188,8 +188,11 @@ def run_pictures(folder: str | os.PathLike[str], frames: Sequence[Frame | FrameM
 
 
 def _moved(frame: Frame | FrameMesh) -> float:
-    """The largest displacement of any surface."""
-    parts = [frame.displacement] if isinstance(frame, FrameMesh) else [patch.displacement for patch in frame.patches]
+    """The largest displacement of any patch."""
+    if isinstance(frame, FrameMesh):
+        parts = [frame.displacement[~frame.tool[frame.body]]]
+    else:
+        parts = [patch.displacement for patch in frame.patches]
     return max((float(np.linalg.norm(part, axis=-1).max(initial=0.0)) for part in parts), default=0.0)
 
 
@@ -286,6 +289,7 @@ def _camera(meshes: Sequence[FrameMesh], chosen: Sequence[int], background: Arra
     moved = None
     if all(len(meshes[n].points) == len(last.points) for n in chosen):
         moved = np.max([np.linalg.norm(meshes[n].displacement, axis=1) for n in chosen], axis=0)
+        moved[last.tool[last.body]] = 0.0
     aspect = order.size[0] / order.size[1]
     return camera_for(last, background, view=order.view, aspect=aspect, moved=moved, tools=tools)
 

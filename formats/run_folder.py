@@ -8,11 +8,12 @@ partial folder, and `resume=True` goes on from its last checkpoint.
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -250,7 +251,7 @@ class _Writing:
     def start(self, session: Session) -> None:
         """Open the series, and draw the faces that stay as they are into it once."""
         maker = FrameMaker.of(session)
-        for name, patch, (u, v) in zip(maker.names, session.model.patches, maker.parameters(), strict=True):
+        for name, patch, (u, v) in zip(maker.names, session.model.patches, maker.parameters(), strict=False):
             if patch.surface.trims is not None:
                 self._outlines[name] = outlines(patch.surface, u, v)
         self._series = SeriesWriter(self.folder, self._outlines, written=self._frames)
@@ -343,14 +344,30 @@ class _Writing:
                 for step, touched in _unspooled(self.folder / "spool" / f"{piece:06d}.npz"):
                     forces.add(step)
                     contacts.add(touched)
-        rest = [patch.lattice.nodes.reshape(*patch.lattice.shape, 3)[:, :, 0].reshape(-1, 3) for patch in model.patches]
-        moved = [result.session.displacement(i).reshape(-1, 3) for i in range(len(model.patches))]
-        write_displacements(self.folder / "displacements.csv", np.concatenate(rest), np.concatenate(moved))
+        self.files += ["contacts.csv", "forces.csv"]
+        models = [i for i, patch in enumerate(model.patches) if patch.body < model.models]
+        self._displacements(result.session, "displacements.csv", models)
+        for tool in model.tools:
+            if tool.patches:
+                name = f"displacements.{_file_name(tool.name)}.csv"
+                if name in self.files:  # of another tool, whose name differs in signs that no file has
+                    name = f"displacements.{_file_name(tool.name)}-{model.tools.index(tool) + 1}.csv"
+                self._displacements(result.session, name, tool.patches)
         write_lattice(self.folder / "lattice.vtu", FrameMaker.of(result.session).lattices())
         assert self._series is not None
         self._series.close()
-        self.files += ["contacts.csv", "forces.csv", "displacements.csv", "lattice.vtu", *self._series.files]
+        self.files += ["lattice.vtu", *self._series.files]
         return self._cad(result)
+
+    def _displacements(self, session: Session, name: str, patches: Sequence[int]) -> None:
+        """A table of the surface nodes of some patches: at rest and how far they moved, a tool's in the tool's frame."""
+        rest, moved = [np.zeros((0, 3))], [np.zeros((0, 3))]
+        for i in patches:
+            lattice = session.model.patches[i].lattice
+            rest.append(lattice.nodes.reshape(*lattice.shape, 3)[:, :, 0].reshape(-1, 3))
+            moved.append(session.displacement(i).reshape(-1, 3))
+        write_displacements(self.folder / name, np.concatenate(rest), np.concatenate(moved))
+        self.files.append(name)
 
     def _cad(self, result: RunResult) -> list[str]:
         """The parts with the sculpted faces in place, in every format that the scene asks for."""
@@ -402,6 +419,11 @@ class _Writing:
             self.folder.replace(folder)
         except OSError as error:
             raise cannot_write(folder, error) from error
+
+
+def _file_name(name: str) -> str:
+    """A tool's name as a file can be called."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-") or "tool"
 
 
 def _unspooled(path: Path) -> list[tuple[StepRecord, ContactRecord]]:

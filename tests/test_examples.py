@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cadsculpt.formats import registry
+from cadsculpt.formats import registry, tool_toml
 from cadsculpt.formats.contacts_csv import read_contacts, read_forces
+from cadsculpt.formats.load import load
 from cadsculpt.formats.run_folder import RunOutcome, run_scene
 from cadsculpt.formats.scene_toml import SceneFile
+from cadsculpt.session import Session
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -79,6 +81,64 @@ def test_the_foam_springs_back_behind_the_finger(runs):
     saddle = registry.read(EXAMPLES / "finger_stroke" / "saddle.igs").faces[0].surface
     u, v = np.linspace(*saddle.domain[0], 31), np.linspace(*saddle.domain[1], 31)
     np.testing.assert_allclose(stroked.evaluate(u[:, None], v), saddle.evaluate(u[:, None], v), atol=1e-6)
+
+
+def test_finger_and_foam_give_way_by_what_the_finger_travels(runs, tmp_path):
+    """At the place where they met, the foam's dent and the finger's flattening add up to the travel since. The force is more
+    than that of two springs in series, each measured against something rigid, for each spreads the other's load; and less
+    than that of a finger that does not give way at all."""
+    _, outcome = runs["foam_finger"]
+    session, summary = outcome.result.session, outcome.result.summary
+    pad, finger = session.surface(0), session.surface(1)
+    rigid = session.model.patches[1].surface
+
+    def lowest(surface, pose):
+        points = pose.to_world(surface.evaluate(np.linspace(0, 1, 161)[:, None], np.linspace(0.5, 0.99, 161)))
+        return points.reshape(-1, 3)[points[..., 2].argmin()]
+
+    pose = session.state.poses[0]
+    x, y, unpressed = lowest(rigid, pose)
+    speed = (8.5 - 2.4) / 0.15
+    travel = speed * (0.15 - summary.first_contact)
+    u, v = np.linspace(*pad.domain[0], 241), np.linspace(*pad.domain[1], 177)
+    here, was = (surface.evaluate(u[:, None], v) for surface in (pad, session.model.patches[0].surface))
+    near = np.hypot(here[..., 0] - x, here[..., 1] - y).argmin()
+    top = was[..., 2].flat[np.hypot(was[..., 0] - x, was[..., 1] - y).argmin()]
+    # the pad is crowned: its highest point is hardly higher than what lies below the finger's lowest
+    assert travel == pytest.approx(top - unpressed, abs=0.05)
+    dent = top - here[..., 2].flat[near]
+    flattened = pose.to_world(finger.evaluate(np.linspace(0, 1, 161)[:, None], np.linspace(0.5, 0.99, 161)))
+    below = np.hypot(flattened[..., 0] - x, flattened[..., 1] - y) + 1e3 * (flattened[..., 2] > pose.at[2])
+    flattening = flattened[..., 2].flat[below.argmin()] - unpressed
+    assert dent > 1.5
+    assert flattening > 0.5
+    assert dent + flattening == pytest.approx(travel, rel=0.04)
+
+    folder = tmp_path / "scene"
+    shutil.copytree(EXAMPLES / "foam_finger", folder)
+    text = (folder / "scene.toml").read_text()
+    library = Path(tool_toml.__file__).parent / "tool_library" / "finger.json"
+    hard_finger = text.replace('use = "finger"', f'shape = "surface"\nfile = "{library.as_posix()}"')
+    model = text[text.index("[[model]]") : text.index("[[tool]]")]
+    hard_pad = text.replace(model, '[[model]]\nname = "pad"\nfile = "pad.step"\nrigid = true\n\n').replace(
+        "2.4]", "4.4]"
+    )
+    curves = []
+    for scene in (hard_finger, hard_pad):
+        (folder / "other.toml").write_text(scene)
+        other = Session(load(SceneFile.load(folder / "other.toml")).model)
+        way, force = [], []
+        for _ in range(75):
+            force.append(other.step(dt=2e-3)["finger"].force[2])
+            way.append(top - lowest(rigid, other.state.poses[0])[2])
+        curves.append((np.array(way), np.array(force)))
+    forces = np.linspace(0.02, 1.3, 200)
+    together = sum(np.interp(forces, force, way) for way, force in curves)
+    series = np.interp(travel, together, forces)
+    alone = np.interp(travel, *curves[0])
+    at_rest = session.step()["finger"].force[2]
+    assert series < at_rest < alone
+    assert alone - series < 1.0  # N: the bounds say something
 
 
 def test_the_stylus_touches_at_fourteen_places(runs):

@@ -148,9 +148,9 @@ def _along(
             inside = np.linspace(a, b, cells + 1)[1:-1]
         pieces += [inside, np.array([b])]
     t = np.concatenate(pieces)
-    if refine is None:
-        return _determined(knots, degree, t, slivers), np.zeros(0), slivers
     periodic = (surface.periodic_u, surface.periodic_v)[axis]
+    if refine is None:
+        return _determined(knots, degree, t, slivers, periodic=periodic), np.zeros(0), slivers
     # a window's own ends become knots, so that supports end there
     ends = np.array(
         [x for x in (low, high) if surface.domain[axis][0] < x < surface.domain[axis][1] and x not in knots]
@@ -159,9 +159,9 @@ def _along(
         added = np.union1d(_candidates(t, knots, degree, refine, every, open_ends=not periodic), ends)
         for a, b in slivers:
             added = added[(added < a) | (added > b)]
-        if _is_determined(np.sort(np.concatenate([knots, added])), degree, t, slivers):
+        if _is_determined(np.sort(np.concatenate([knots, added])), degree, t, slivers, periodic=periodic):
             return t, added, slivers
-    return _determined(np.sort(np.concatenate([knots, ends])), degree, t, slivers), ends, slivers
+    return _determined(np.sort(np.concatenate([knots, ends])), degree, t, slivers, periodic=periodic), ends, slivers
 
 
 def _multiplicity(knots: Array, degree: int, t: float) -> int:
@@ -197,19 +197,27 @@ def _candidates(
     return np.setdiff1d(marks, knots)
 
 
-def _is_determined(knots: Array, degree: int, t: Array, slivers: list[Span]) -> bool:
-    """Whether values at t determine every control point whose support they meet, and well."""
-    basis = folded(design_matrix(knots, degree, t), sliver_ties(knots, degree, slivers))
+def _is_determined(knots: Array, degree: int, t: Array, slivers: list[Span], *, periodic: bool) -> bool:
+    """Whether values at t determine every control point whose support they meet, and well. What reaches beyond the ends of a
+    cut window is held, and the last control points of a periodic direction are the first ones."""
+    basis = design_matrix(knots, degree, t)
+    count = basis.shape[1]
+    if t[0] > knots[degree]:
+        basis[:, knots[:count] < t[0]] = 0.0
+    if t[-1] < knots[-degree - 1]:
+        basis[:, knots[degree + 1 :] > t[-1]] = 0.0
+    wrapped = periodic and not slivers
+    basis = folded(basis, np.arange(count) % (count - degree) if wrapped else sliver_ties(knots, degree, slivers))
     basis = basis[:, (basis != 0).any(axis=0)]
     if basis.shape[1] > basis.shape[0]:
         return False
     return bool(np.linalg.cond(basis) < WORST_CONDITION)
 
 
-def _determined(knots: Array, degree: int, t: Array, slivers: list[Span]) -> Array:
+def _determined(knots: Array, degree: int, t: Array, slivers: list[Span], *, periodic: bool) -> Array:
     """The nodes t, with cells halved until they determine the net."""
     for _ in range(6):
-        if _is_determined(knots, degree, t, slivers):
+        if _is_determined(knots, degree, t, slivers, periodic=periodic):
             break
         t = np.sort(np.concatenate([t, 0.5 * (t[1:] + t[:-1])]))
     return t

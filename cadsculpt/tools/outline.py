@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,16 +115,24 @@ def _box(size: Array, rounding: float) -> tuple[Array, Index]:
     return points, faces
 
 
+def outline_points(tool: SurfaceTool, nets: Sequence[Array]) -> Array:
+    """The points (k, 3) of `outline` in the tool's frame, of a tool whose control points are now nets[i] (r, s, 3)."""
+    parts = [
+        grid.matrices.points(net, grid.surface.weights).reshape(-1, 3)
+        for grid, net in zip(tool.grids, nets, strict=True)
+    ]
+    return np.concatenate(parts)
+
+
 def _patches(tool: SurfaceTool) -> tuple[Array, Index]:
-    points, triangles, start = [], [], 0
+    triangles, start = [], 0
     for grid in tool.grids:
         matrices = grid.matrices
-        patch = matrices.points(grid.surface.control_points, grid.surface.weights)
         faces = _grid_triangles(*matrices.shape, wrap=False)
         if grid.inside is not None:
             faces = faces[grid.inside.ravel()[faces].all(axis=1)]
         # _grid_triangles runs against S_u x S_v
-        points.append(patch.reshape(-1, 3))
         triangles.append((faces[:, ::-1] if not grid.surface.outward else faces) + start)
-        start += len(points[-1])
-    return np.concatenate(points), np.concatenate(triangles)
+        start += matrices.shape[0] * matrices.shape[1]
+    rest = outline_points(tool, [grid.surface.control_points for grid in tool.grids])
+    return rest, np.concatenate(triangles)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from OCP.Geom import Geom_BSplineCurve, Geom_BSplineSurface, Geom_Curve, Geom_Surface
+from OCP.Geom import Geom_BSplineCurve, Geom_BSplineSurface, Geom_Curve, Geom_Surface, Geom_TrimmedCurve
 from OCP.Geom2d import Geom2d_BezierCurve, Geom2d_BSplineCurve, Geom2d_Curve, Geom2d_Line, Geom2d_TrimmedCurve
 from OCP.GeomAdaptor import GeomAdaptor_Surface
+from OCP.GeomConvert import GeomConvert
 from OCP.gp import gp_Pnt, gp_Pnt2d, gp_Vec, gp_Vec2d
 
 from ..curve_fit import Curve, fit_curve
@@ -162,3 +163,16 @@ def curve_on_surface(
 def curve_net(curve: Geom_BSplineCurve) -> tuple[Array, Array]:
     """(poles (n, 3), flat knots) of a B-spline curve."""
     return from_points(curve.Poles()), np.repeat(from_reals(curve.Knots()), from_integers(curve.Multiplicities()))
+
+
+def spline_arrays(curve: Geom_Curve, first: float, last: float) -> tuple[Array, Array, int, Array | None]:
+    """Control points (n, 3), flat knots, degree and weights or None of the part [first, last] of a curve."""
+    spline = GeomConvert.CurveToBSplineCurve_s(Geom_TrimmedCurve(curve, first, last))
+    if spline.IsPeriodic():
+        spline.SetNotPeriodic()
+    points = np.array([(p.X(), p.Y(), p.Z()) for p in (spline.Pole(i) for i in range(1, spline.NbPoles() + 1))])
+    weights = None
+    if spline.IsRational():
+        weights = np.array([spline.Weight(i) for i in range(1, spline.NbPoles() + 1)])
+    knots = np.repeat(from_reals(spline.Knots()), from_integers(spline.Multiplicities()))
+    return points, knots, spline.Degree(), weights

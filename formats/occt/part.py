@@ -101,7 +101,7 @@ class OcctPart(Part):
 
             write(self, path)
         elif format == "iges":
-            from ..iges import write as write_iges
+            from ..iges_write import write as write_iges
 
             write_iges(self, path)
         else:

@@ -19,6 +19,7 @@ from ..patch_part import check_sculpted
 from .archive import archive_version, check_archive, object_records
 from .body import Body, Place
 from .geometry import library
+from .probe import ensure_survives
 
 if TYPE_CHECKING:
     from .shape import BodyShape
@@ -314,6 +315,7 @@ def read(path: Path, *, units: str | None = None) -> RhinoPart:
         raise InputError("the file is empty", where=str(path))
     try:
         check_archive(data)
+        ensure_survives(data)
         model = library().File3dm.FromByteArray(data)
         if model is None:
             raise InputError("openNURBS cannot read it", mend="the file is damaged: open it in Rhino and save it again")
