@@ -20,6 +20,7 @@ from ..spline.refine import insert_knots, missing_knots
 from ..spline.surface import BSplineSurface
 from ..units import conversion
 from . import mesh, registry
+from .instances import chosen_faces, named_instances
 from .part import Face, Part
 from .scene_toml import SceneFile
 
@@ -61,22 +62,30 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     on_file : told the name of each file before it is read. Raises InputError or GeometryError naming what cannot be used.
     """
     parts: dict[Path, Part] = {}
+    units_of: dict[Path, str | None] = {}
+    apart = named_instances(scene, scene.folder)
     warnings: list[str] = list(scene.warnings)
 
-    def part_of(name: str) -> tuple[Path, Part]:
+    def part_of(name: str, units: str | None = None) -> tuple[Path, Part]:
         path = (scene.folder / name).resolve()
+        if units_of.setdefault(path, units) != units:
+            raise InputError(
+                "one file is taken in two units", where=str(path), mend="write the same file_units wherever"
+            )
         if path not in parts:
             if on_file:
                 on_file(path.name)
-            parts[path] = registry.read(path)
+            parts[path] = registry.read(path, units=units)
+            if path in apart:
+                parts[path] = parts[path].separated(apart[path])
             warnings.extend(f"{path.name}: {line}" for line in parts[path].warnings)
         return path, parts[path]
 
     bodies, faces, used = list[SourceBody](), list[tuple[Path, int]](), list[tuple[Path, int]]()
     for index, spec in enumerate(scene.model):
-        path, part = part_of(spec.file)
+        path, part = part_of(spec.file, spec.file_units)
         try:
-            chosen = part.faces.select(spec.faces)
+            chosen = chosen_faces(part, spec)
         except InputError as error:
             raise InputError(
                 f"model {spec.name!r}: {path.name} has {error.what}",
@@ -143,10 +152,12 @@ def _source_face(part: Part, face: Face, units: str) -> SourceFace:
     return SourceFace(face.number, face.name, surface, edges)
 
 
-def _tool_faces(spec: ToolSpec, scene: SceneFile, part_of: Callable[[str], tuple[Path, Part]]) -> list[SourceFace]:
+def _tool_faces(
+    spec: ToolSpec, scene: SceneFile, part_of: Callable[[str, str | None], tuple[Path, Part]]
+) -> list[SourceFace]:
     if spec.file is None:
         raise InputError("a surface tool needs a file", where=f"tool {spec.name!r}", mend='write file = "..."')
-    _, part = part_of(spec.file)
+    _, part = part_of(spec.file, spec.file_units)
     return [_source_face(part, face, scene.units) for face in part.faces.select(spec.faces or "all")]
 
 
