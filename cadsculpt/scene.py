@@ -215,6 +215,12 @@ class RefitSpec(Spec):
     )
     refine: Flag = Field(default=True, description="knots are inserted where the tolerance asks for it")
     max_control_points: Count = Field(default=10000, description="of one face")
+    fixed: tuple[FaceBox, ...] = Field(
+        default=(), description="regions { face, u, v } that stay as they are, their material too"
+    )
+    continuity: Literal["G0", "G1"] = Field(
+        default="G0", description="of faces that share an edge: closed, or tangent as well where they were"
+    )
 
 
 class OutputSpec(Spec):

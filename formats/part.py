@@ -27,7 +27,8 @@ class FaceEdge:
 
     uv (n, 2) parameters on the face's surface, points (n, 3) in mm at the same places; `neighbours` are the numbers of the
     other faces that share the edge (empty for a free edge). A seam is the edge where a closed surface meets itself; a
-    degenerate edge is a pole, one point in space.
+    degenerate edge is a pole, one point in space. `tolerance` : how far apart the file lets its faces be there, mm; 0 when it
+    does not say.
     """
 
     uv: Array
@@ -35,6 +36,7 @@ class FaceEdge:
     neighbours: tuple[int, ...] = ()
     seam: bool = False
     degenerate: bool = False
+    tolerance: float = 0.0
 
 
 class Face(ABC):

@@ -86,7 +86,10 @@ def _check(face: OcctFace, surface: BSplineSurface) -> None:
     surface.validate()
     own = face.surface
     where = face.where
-    if (surface.degree_u, surface.degree_v) != (own.degree_u, own.degree_v):
+    spline = isinstance(face.geom, Geom_BSplineSurface)
+    higher = surface.degree_u >= own.degree_u and surface.degree_v >= own.degree_v
+    # what becomes a spline only now may be one of a higher degree
+    if (surface.degree_u, surface.degree_v) != (own.degree_u, own.degree_v) and (spline or not higher):
         raise InputError(
             f"the sculpted surface has degrees {surface.degree_u} x {surface.degree_v}", where=where,
             mend=f"the face has {own.degree_u} x {own.degree_v}",
