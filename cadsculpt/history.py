@@ -15,7 +15,10 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The `summary` of result.json. Times in s, forces in N, lengths in the scene's unit; None where there was no contact."""
+    """The `summary` of result.json. Times in s, forces in N, lengths in the scene's unit; None where there was no contact.
+
+    The refit errors and seam_max_gap, the largest gap along common edges of sculpted faces, are those of the exported surfaces.
+    """
 
     first_contact: float | None
     max_depth: float
@@ -25,6 +28,7 @@ class Summary:
     max_displacement: float
     refit_max_error: float
     refit_rms_error: float
+    seam_max_gap: float = 0.0
 
 
 @dataclass(slots=True, eq=False)

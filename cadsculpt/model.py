@@ -132,6 +132,12 @@ def build_model(
     unit = metres_per_unit(scene.units)
     solver = scene.solver
     makings = _makings(scene, bodies, tool_faces or {}, paths)
+    names = {each for body in bodies for face in body.faces for each in (face.name, face.number)}
+    for box in scene.refit.fixed:
+        if box.face is not None and box.face not in names:
+            raise InputError(
+                f"no sculpted face {box.face!r}", where="refit.fixed", mend="name one of the models' faces"
+            )
     spacings = [min(min(spacing) for spacing in making.spacings) for making in makings if making.substance is not None]
     finest = min(spacings)
     deepest = max(making.substance.thickness for making in makings if making.substance is not None)

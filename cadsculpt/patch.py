@@ -14,9 +14,10 @@ from .physics.explicit import stable_substep
 from .physics.inward import inward_directions
 from .physics.lattice import Lattice, build_lattice
 from .physics.material import Material
-from .physics.node_grid import NodeGrid, node_grid
+from .physics.node_grid import NodeGrid, Span, node_grid
 from .scene import Scene
-from .spline.refit import Refit, held_control_points
+from .spline.hold import Hold, in_range
+from .spline.refit import Refit
 from .spline.surface import BSplineSurface
 from .spline.trim import box as trim_box
 from .spline.trim import inside
@@ -37,12 +38,16 @@ cells are slivers that would dictate the time step."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceEdge:
-    """An edge of a face to be sculpted: uv (n, 2) along it, and the names of the other faces that share it."""
+    """An edge of a face to be sculpted: uv (n, 2) along it, and the names of the other faces that share it.
+
+    tolerance : how far apart the file lets these faces be there, in the scene's unit; 0 when it does not say.
+    """
 
     uv: Array
     neighbours: tuple[str, ...] = ()
     seam: bool = False
     degenerate: bool = False
+    tolerance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +80,8 @@ class Patch:
     body : its number, models before tools. source : the face as read. surface : the same shape over a net fine enough to
     take the dent; `grid` (collision), `lattice` (physics) and `refit` are made for it. u, v : node parameters.
     held (r, s) : control points that never move. contact_stiffness [N/L^3], contact_damping [N s/L^3] : of its material
-    against something rigid.
+    against something rigid. hold : what of the face stays where it is. slivers : knot spans, along u and along v, that are too
+    narrow for a node.
     """
 
     body: int
@@ -91,6 +97,8 @@ class Patch:
     law: ContactLaw
     substep: float
     """The largest stable sub-step of the explicit integrator, contact included, in s."""
+    hold: Hold
+    slivers: tuple[list[Span], list[Span]]
 
     @property
     def name(self) -> str:
@@ -116,9 +124,7 @@ def build_patch(
     source.validate()
     window = node_window(source)
     reached = reached_window(source, window, max(spacing), swept) if scene.refit.refine else None
-    nodes = node_grid(
-        source, spacing, window=window, refine=reached, most_control_points=scene.refit.max_control_points
-    )
+    nodes = node_grid(source, spacing, window=window, refine=reached)
     surface = nodes.surface
     points = surface.evaluate(nodes.u[:, None], nodes.v)
     inward = inward_directions(
@@ -145,6 +151,7 @@ def build_patch(
     materials, index = _zones(scene, substance, face, surface, nodes, [material, ghost])
     thickness = substance.thickness
     borders = held_edges(substance, face, siblings)
+    hold = _hold(scene, face, borders)
     lattice = build_lattice(
         points,
         inward,
@@ -156,10 +163,10 @@ def build_patch(
         cell_material=np.where(on_face, index, 1),
         wrap=(nodes.wrap_u, nodes.wrap_v),
         period=(surface.domain[0][1] - surface.domain[0][0], surface.domain[1][1] - surface.domain[1][0]),
-        anchored=_anchored(substance, face, nodes, borders, siblings),
+        anchored=_anchored(substance, face, nodes, borders, siblings, hold),
         metres_per_unit=unit,
     )
-    held = _held(surface, nodes, face, borders)
+    held = _held(surface, nodes, hold)
     # what lies beyond the trims is touched as what lies beside it
     law = ContactLaw(lattice, (material, material, *materials[2:]), min(spacing), scene.solver.max_penetration)
     return Patch(
@@ -175,6 +182,8 @@ def build_patch(
         material_nodes=_nodes_of_cells(on_face, wrap=(nodes.wrap_u, nodes.wrap_v)),
         law=law,
         substep=stable_substep(lattice),
+        hold=hold,
+        slivers=nodes.slivers,
     )
 
 
@@ -209,7 +218,7 @@ def _zones(
     for zone in substance.zones:
         if zone.face is None or zone.face in (face.name, face.number):
             materials = [*materials, scene.material_of(zone.material)]
-            index[_in_range(u, zone.u)[:, None] & _in_range(v, zone.v)[None, :]] = len(materials) - 1
+            index[in_range(u, zone.u)[:, None] & in_range(v, zone.v)[None, :]] = len(materials) - 1
     return materials, index
 
 
@@ -300,11 +309,18 @@ def _nodes_of_cells(cells: Mask, *, wrap: tuple[bool, bool]) -> Mask:
     return nodes
 
 
-def _held(surface: BSplineSurface, nodes: NodeGrid, face: SourceFace, edges: Sequence[SourceEdge]) -> Mask:
-    """Control points that never move: under held edges, at poles, and those that reach beyond the nodes' window."""
-    held = np.zeros(surface.shape, dtype=np.bool_)
-    for edge in [*edges, *(edge for edge in face.edges if edge.degenerate)]:
-        held |= held_control_points(surface, _dense(edge.uv, surface))
+def _hold(scene: Scene, face: SourceFace, held_edges: Sequence[SourceEdge]) -> Hold:
+    """What of a face stays where it is: held edges (their tangent planes too for G1), poles, and the fixed regions."""
+    smooth = scene.refit.continuity == "G1"
+    lines = tuple(edge.uv for edge in held_edges)
+    poles = tuple(edge.uv for edge in face.edges if edge.degenerate)
+    boxes = tuple((box.u, box.v) for box in scene.refit.fixed if box.face in (None, face.name, face.number))
+    return Hold(poles, lines, boxes) if smooth else Hold((*lines, *poles), (), boxes)
+
+
+def _held(surface: BSplineSurface, nodes: NodeGrid, hold: Hold) -> Mask:
+    """Control points that never move: what is held, and those that reach beyond the nodes' window."""
+    held = hold.control_points(surface)
     for axis, (knots, degree) in enumerate(((surface.knots_u, surface.degree_u), (surface.knots_v, surface.degree_v))):
         low, high = nodes.window[axis]
         start, end = surface.domain[axis]
@@ -318,25 +334,17 @@ def _held(surface: BSplineSurface, nodes: NodeGrid, face: SourceFace, edges: Seq
     return held
 
 
-def _dense(uv: Array, surface: BSplineSurface) -> Array:
-    """The polyline uv with steps so short that no knot span is jumped over."""
-    spans = [
-        np.diff(np.unique(knots[degree : len(knots) - degree])).min()
-        for knots, degree in ((surface.knots_u, surface.degree_u), (surface.knots_v, surface.degree_v))
-    ]
-    steps = np.abs(np.diff(uv, axis=0)) / np.array(spans)
-    pieces = np.clip(np.ceil(4.0 * steps.max(axis=1)), 1, 1000).astype(np.int64)
-    parts = [a + (b - a) * (np.arange(n) / n)[:, None] for a, b, n in zip(uv[:-1], uv[1:], pieces, strict=True)]
-    return np.concatenate([*parts, uv[-1:]])
-
-
 def _anchored(
-    substance: Substance, face: SourceFace, nodes: NodeGrid, held: Sequence[SourceEdge], siblings: frozenset[str]
+    substance: Substance,
+    face: SourceFace,
+    nodes: NodeGrid,
+    held: Sequence[SourceEdge],
+    siblings: frozenset[str],
+    hold: Hold,
 ) -> Mask:
     """Nodes (nu, nv, layers + 1) that stay where they are; layer 0 is the surface. An edge between two faces of the body is
     none of the body's edges."""
-    shape = (len(nodes.u), len(nodes.v))
-    through = np.zeros(shape, dtype=np.bool_)  # anchored through the whole thickness
+    through = hold.inside(nodes.u, nodes.v)  # anchored through the whole thickness
     wrap = (nodes.wrap_u, nodes.wrap_v)
     for edge in held:
         through |= _crossed(edge.uv, nodes)
@@ -346,7 +354,7 @@ def _anchored(
             if isinstance(item, str):
                 names.add(item)
             elif item.face is None or item.face in (face.name, face.number):
-                through |= _in_range(nodes.u, item.u)[:, None] & _in_range(nodes.v, item.v)[None, :]
+                through |= in_range(nodes.u, item.u)[:, None] & in_range(nodes.v, item.v)[None, :]
     inner = [edge for edge in face.edges if edge.neighbours and siblings.issuperset(edge.neighbours)]
     for edge in face.edges:
         outer = substance.anchor == "edges" and edge not in inner
@@ -366,10 +374,6 @@ def _anchored(
     if substance.anchor == "base":
         anchored[:, :, -1] = True
     return anchored
-
-
-def _in_range(t: Array, limits: tuple[float, float] | None) -> Mask:
-    return np.ones(len(t), dtype=np.bool_) if limits is None else (t >= limits[0]) & (t <= limits[1])
 
 
 def _crossed(uv: Array, nodes: NodeGrid) -> Mask:

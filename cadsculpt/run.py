@@ -12,6 +12,7 @@ from .collide.certified.body import GridCache
 from .collide.certified.proximity import separation
 from .errors import InputError, SimulationError
 from .expect import Expectation, evaluate, pair_index
+from .export_fit import Exported, export_fit
 from .force_control import FORCE_TOLERANCE
 from .frames import FrameMaker
 from .history import History, Summary
@@ -27,13 +28,15 @@ Array = NDArray[np.float64]
 class RunResult:
     """What a run leaves behind.
 
-    converged : False when the simulation became unstable; `failure` says how, and everything up to that step is kept.
+    exported : the sculpted faces as they go back to CAD. converged : False when the simulation became unstable; `failure` says
+    how, and everything up to that step is kept.
     warnings : what the user should know, step ranges of residual penetration above the scene's limit among them.
     """
 
     session: Session
     history: History
     summary: Summary
+    exported: Exported
     expectations: tuple[Expectation, ...]
     converged: bool
     failure: str = ""
@@ -189,15 +192,17 @@ def run(
             hooks.on_progress(state.step, model.steps)
         if hooks.on_checkpoint:
             hooks.on_checkpoint(state.step, lambda: {**session.arrays(), **history.arrays()})
-    summary = summarise(session, history)
+    exported = export_fit(session)
+    summary = summarise(history, exported)
     return RunResult(
         session=session,
         history=history,
         summary=summary,
+        exported=exported,
         expectations=evaluate(model, history, summary),
         converged=not failure,
         failure=failure,
-        warnings=tuple(_warnings(session, history, summary)),
+        warnings=tuple(_warnings(session, history, summary, exported)),
     )
 
 
@@ -222,9 +227,8 @@ def named(model: Model, body: int) -> str:
     return f"the {'part' if body < model.models else 'tool'} {model.bodies[body]!r}"
 
 
-def summarise(session: Session, history: History) -> Summary:
+def summarise(history: History, exported: Exported) -> Summary:
     """The numbers of result.json."""
-    errors = [session.refit_error(i) for i in range(len(session.model.patches))]
     return Summary(
         first_contact=history.first_contact(),
         max_depth=history.greatest("depth"),
@@ -232,12 +236,13 @@ def summarise(session: Session, history: History) -> Summary:
         max_force=history.greatest("force"),
         max_contact_area=history.greatest("area"),
         max_displacement=history.max_displacement,
-        refit_max_error=max(error.maximum for error in errors),
-        refit_rms_error=float(np.sqrt(np.mean([error.rms**2 for error in errors]))),
+        refit_max_error=exported.error.maximum,
+        refit_rms_error=exported.error.rms,
+        seam_max_gap=exported.seam_max_gap,
     )
 
 
-def _warnings(session: Session, history: History, summary: Summary) -> list[str]:
+def _warnings(session: Session, history: History, summary: Summary, exported: Exported) -> list[str]:
     model = session.model
     unit = model.scene.units
     lines = []
@@ -259,11 +264,7 @@ def _warnings(session: Session, history: History, summary: Summary) -> list[str]
                 f"the tool {model.tools[tool].name!r} met at most {met:.4g} N of its {push.force:g} N: its path ends, or turns "
                 "back, before the material resists with more"
             )
-    if summary.refit_max_error > model.scene.refit.tolerance:
-        lines.append(
-            f"the refit surfaces are up to {summary.refit_max_error:.3g} {unit} away from their nodes, "
-            f"above refit.tolerance {model.scene.refit.tolerance:.3g} {unit}"
-        )
+    lines += exported.warnings(model.scene.refit.tolerance, unit)
     if summary.first_contact is None:
         lines.append("no tool touched a part")
     return lines

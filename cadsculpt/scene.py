@@ -22,6 +22,7 @@ from .scene_values import (
     FaceBox,
     Faces,
     Flag,
+    Instances,
     Interval,
     Name,
     Names,
@@ -83,8 +84,16 @@ class ModelSpec(Spec):
 
     name: Name = Field(description="the model's name, unlike any other in the scene")
     file: Text = Field(description="its CAD file, seen from the scene's folder")
+    file_units: Unit | None = Field(
+        default=None,
+        description="of the numbers in a file that names none or the wrong one; what it says when left out",
+    )
     faces: Faces = Field(
         default="all", description='"all", or a list of names and numbers; other faces stay as they are'
+    )
+    instances: Instances = Field(
+        default="all",
+        description='of an assembly: "all" places of a component change alike, or a list of those that do ["bolt_2"]',
     )
     rigid: Flag = Field(
         default=False, description="true when it keeps its shape: it has no material, and nothing of it is sculpted"
@@ -206,6 +215,12 @@ class RefitSpec(Spec):
     )
     refine: Flag = Field(default=True, description="knots are inserted where the tolerance asks for it")
     max_control_points: Count = Field(default=10000, description="of one face")
+    fixed: tuple[FaceBox, ...] = Field(
+        default=(), description="regions { face, u, v } that stay as they are, their material too"
+    )
+    continuity: Literal["G0", "G1"] = Field(
+        default="G0", description="of faces that share an edge: closed, or tangent as well where they were"
+    )
 
 
 class OutputSpec(Spec):

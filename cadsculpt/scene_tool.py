@@ -84,7 +84,7 @@ SIZES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "union": (("part",), ()),
     "intersection": (("part",), ()),
     "difference": (("part",), ()),
-    "surface": (("file",), ("faces", "material", "thickness", "nodes", "layers", "hold")),
+    "surface": (("file",), ("file_units", "faces", "material", "thickness", "nodes", "layers", "hold")),
     "mesh": (("file",), ("file_units",)),
 }
 """Per shape, the keys that it must have and those that it may have."""
@@ -186,7 +186,7 @@ class ToolSpec(ShapeSpec, NamedTool):
         default=None, description="of a surface or mesh: its file, seen from the folder of this one"
     )
     file_units: Unit | None = Field(
-        default=None, description="of a mesh file, which names none; the scene's when left out"
+        default=None, description="of its file's numbers: a mesh names none, then the scene's when left out"
     )
     faces: Faces | None = Field(default=None, description='of a surface: "all", or a list of names and numbers')
     material: Text | None = Field(default=None, description="of a surface: makes it deformable; rigid when left out")

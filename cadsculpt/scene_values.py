@@ -86,6 +86,11 @@ Faces = Annotated[
     | Annotated[tuple[FaceId, ...], Field(min_length=1), Tag(LIST)],
     by_type('"all" or a list of face names and numbers'),
 ]
+Instances = Annotated[
+    Annotated[Literal["all"], in_a_list("all"), Tag(WORD)]
+    | Annotated[tuple[Text, ...], Field(min_length=1), Tag(LIST)],
+    by_type('"all" or a list of instances'),
+]
 Spacing = Annotated[
     Annotated[Positive, Tag(NUMBER)] | Annotated[Counts, Tag(LIST)], by_type("a length or a list of 2 whole numbers")
 ]

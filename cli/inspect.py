@@ -51,8 +51,14 @@ def command(file: Path, as_json: bool, units: str | None, quiet: bool) -> int:
     )
     if found["faces"]:
         click.echo()
-        columns = ("number", "name", "kind", "degree", "net", "flags", "area mm2", "size mm")
-        print_table(columns, [_row(face) for face in found["faces"]], right=("number", "area mm2"))
+        columns = ["number", "name", "kind", "degree", "net", "flags", "area mm2", "size mm"]
+        rows = [_row(face) for face in found["faces"]]
+        if any("instance" in face for face in found["faces"]):
+            columns.insert(1, "instance")
+            rows = [
+                [row[0], face.get("instance", ""), *row[1:]] for row, face in zip(rows, found["faces"], strict=True)
+            ]
+        print_table(columns, rows, right=("number", "area mm2"))
     for warning in found["warnings"]:
         warn(warning)
     return 0

@@ -20,11 +20,25 @@ SHAPES = ("sphere", "ellipsoid", "capsule", "cylinder", "cone", "box", "torus", 
 @click.option(
     "--face", metavar="NAME", help="Name or number of the face to press; the most suitable one when left out."
 )
+@click.option("--size", type=click.FloatRange(min=0.0, min_open=True, max=1.0), metavar="X",
+              help="Radius of the tool over the face's size, at most; as large as fits when left out.")  # fmt: skip
+@click.option("--quick", is_flag=True, help="A coarse lattice and few steps: a look in seconds.")
+@click.option("--units", metavar="U", help="Length unit of a file that names none or the wrong one: mm, in, m, ...")
 @click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("scene.toml"), show_default=True,
               metavar="FILE", help="The scene to write.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Overwrite the scene if it exists.")
 @click.option("--quiet", is_flag=True, help="No progress.")
-def command(part: Path, shape: str, face: str | None, output: Path, force: bool, quiet: bool) -> int:
+def command(
+    part: Path,
+    shape: str,
+    face: str | None,
+    size: float | None,
+    quick: bool,
+    units: str | None,
+    output: Path,
+    force: bool,
+    quiet: bool,
+) -> int:
     """Write a scene for your own PART (STEP, IGES, 3DM or patch JSON).
 
     Picks a face, puts a tool above it and presses 5 % of the face's size. Every key of the scene is explained in it:
@@ -33,17 +47,20 @@ def command(part: Path, shape: str, face: str | None, output: Path, force: bool,
     \b
     cadsculpt new part.step -o press.toml
     cadsculpt new part.step --tool ellipsoid --face top
+    cadsculpt new part.igs --units in --quick
     cadsculpt run press.toml
     """
     from ..formats.atomic import write_whole
     from ..formats.new_scene import new_scene
+    from ..formats.press import Wish
 
     if output.exists() and not force:
         raise InputError(
             "it exists", where=str(output), mend="choose another name with -o, or overwrite it with --force"
         )
     with ProgressDisplay(quiet=quiet) as progress:
-        made = new_scene(part, output, shape=shape, face=face, on_progress=progress.update)
+        wish = Wish.quick(size) if quick else Wish(size)
+        made = new_scene(part, output, shape=shape, face=face, wish=wish, units=units, on_progress=progress.update)
     write_whole(output, made.text)
     model, tool = made.scene.model[0], made.scene.tool[0]
     unit = made.scene.units

@@ -51,7 +51,7 @@ def unit_of(file: IgesFile) -> Unit:
         number = _NAMED
     if number in UNIT_OF_FLAG:
         unit = UNIT_OF_FLAG[number]
-        said = ()
+        said: tuple[str, ...] = ()
         if text and _named(text) not in (None, unit):
             said = (f"its unit flag {number} says {unit}, its unit name {text!r}: the flag was believed",)
         return Unit(unit, 1.0, number, said)

@@ -101,7 +101,8 @@ def _parametric_spline(entity: Entity) -> BSplineSurface:
     for i in range(m):
         for j in range(n):
             net[3 * i : 3 * i + 4, 3 * j : 3 * j + 4] = bezier[i, j]
-    return BSplineSurface(net, *(np.concatenate([t[:1], np.repeat(t, 3), t[-1:]]) for t in (u, v)), 3, 3)
+    knots_u, knots_v = (np.concatenate([t[:1], np.repeat(t, 3), t[-1:]]) for t in (u, v))
+    return BSplineSurface(net, knots_u, knots_v, 3, 3)
 
 
 # ----------------------------------------------------------------------- trims
@@ -133,7 +134,7 @@ def _loops_of_bounded(file: IgesFile, entity: Entity, surface: BSplineSurface) -
     """Entity 143 (section 4.33): boundaries (141, section 4.31), each a list of curves in space with their pieces in the
     parameter plane."""
     said: list[str] = []
-    loops = []
+    loops: list[TrimLoop] = []
     for i in range(whole_of(entity, 3)):
         boundary = file.at(whole_of(entity, 4 + i))
         if boundary is None or boundary.type != 141:
@@ -151,7 +152,7 @@ def _loops_of_bounded(file: IgesFile, entity: Entity, surface: BSplineSurface) -
 def _loops_of_face(file: IgesFile, entity: Entity, surface: BSplineSurface) -> tuple[list[TrimLoop], list[str]]:
     """Entity 510 (section 4.150): loops (508) of edges that stand in edge lists (504)."""
     said: list[str] = []
-    loops = []
+    loops: list[TrimLoop] = []
     for i in range(whole_of(entity, 2)):
         loop = file.at(whole_of(entity, 4 + i))
         if loop is None or loop.type != 508:

@@ -25,8 +25,10 @@ def inspect_object(part: Part, on_face: Callable[[int, int], None] | None = None
     """
     warnings = list(part.warnings)
     faces = []
+    instance_of = {number: instance.name for instance in part.instances for number in instance.faces}
     for done, face in enumerate(part.faces, 1):
-        faces.append(_face_object(face, warnings))
+        named = {"instance": instance_of[face.number]} if face.number in instance_of else {}
+        faces.append({**_face_object(face, warnings), **named})
         if on_face:
             on_face(done, len(part.faces))
     warnings += part.warnings  # looking at the faces may have added some

@@ -11,17 +11,22 @@ import numpy as np
 from ..collide.mesh.triangle_mesh import TriangleMesh
 from ..encounters import together
 from ..errors import CadsculptError, GeometryError, InputError
+from ..export_fit import Exported
 from ..model import Model, SourceBody, build_model
 from ..motion.path import ToolPath
 from ..patch import SourceEdge, SourceFace
 from ..scene import ToolSpec
-from ..session import Session
-from ..spline.refine import insert_knots, missing_knots
+from ..spline.elevate import elevated
+from ..spline.refine import insert_knots
 from ..spline.surface import BSplineSurface
 from ..units import conversion
 from . import mesh, registry
+from .instances import chosen_faces, named_instances
 from .part import Face, Part
 from .scene_toml import SceneFile
+
+SPLINES = ("bspline", "bezier")
+SMOOTH_DEGREE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,18 +43,17 @@ class Loaded:
     faces: tuple[tuple[Path, int], ...]
     warnings: tuple[str, ...]
 
-    def sculpted(self, session: Session) -> dict[Path, dict[int, BSplineSurface]]:
+    def sculpted(self, exported: Exported) -> dict[Path, dict[int, BSplineSurface]]:
         """Per part the sculpted surfaces (mm) of its faces: the face as read, with knots added and control points moved.
 
-        Control points that the session did not move keep the bits of the file.
+        Control points that do not move keep the bits of the file.
         """
         to_mm = conversion(self.scene.units, "mm")
         result: dict[Path, dict[int, BSplineSurface]] = {path: {} for path, _ in self.faces}
         for index, (path, number) in enumerate(self.faces):
-            patch = session.model.patches[index]
-            read = self.parts[path].faces.number(number).surface
-            fine = insert_knots(read, *missing_knots(read, patch.surface))
-            moved = session.state.control_points[index] - patch.surface.control_points
+            face = exported.faces[index]
+            fine = insert_knots(_sculptable(self.parts[path], self.parts[path].faces.number(number)), *face.knots)
+            moved = face.displacement
             net = np.where(moved == 0.0, fine.control_points, fine.control_points + moved * to_mm)
             result[path][number] = fine.with_control_points(net)
         return result
@@ -61,22 +65,30 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     on_file : told the name of each file before it is read. Raises InputError or GeometryError naming what cannot be used.
     """
     parts: dict[Path, Part] = {}
+    units_of: dict[Path, str | None] = {}
+    apart = named_instances(scene, scene.folder)
     warnings: list[str] = list(scene.warnings)
 
-    def part_of(name: str) -> tuple[Path, Part]:
+    def part_of(name: str, units: str | None = None) -> tuple[Path, Part]:
         path = (scene.folder / name).resolve()
+        if units_of.setdefault(path, units) != units:
+            raise InputError(
+                "one file is taken in two units", where=str(path), mend="write the same file_units wherever"
+            )
         if path not in parts:
             if on_file:
                 on_file(path.name)
-            parts[path] = registry.read(path)
+            parts[path] = registry.read(path, units=units)
+            if path in apart:
+                parts[path] = parts[path].separated(apart[path])
             warnings.extend(f"{path.name}: {line}" for line in parts[path].warnings)
         return path, parts[path]
 
     bodies, faces, used = list[SourceBody](), list[tuple[Path, int]](), list[tuple[Path, int]]()
     for index, spec in enumerate(scene.model):
-        path, part = part_of(spec.file)
+        path, part = part_of(spec.file, spec.file_units)
         try:
-            chosen = part.faces.select(spec.faces)
+            chosen = chosen_faces(part, spec)
         except InputError as error:
             raise InputError(
                 f"model {spec.name!r}: {path.name} has {error.what}",
@@ -129,24 +141,43 @@ def _solids(part: Part) -> dict[int, int]:
     return {numbers[k]: numbers[group[0]] for group in together(len(numbers), edges) for k in group}
 
 
+def _sculptable(part: Part, face: Face) -> BSplineSurface:
+    """The surface (mm) that is sculpted: the face's own. Planes and rulings, which are of degree 1 and become splines of the
+    CAD kernel anyway, are raised to SMOOTH_DEGREE first: a dent in them is smooth, with far fewer control points."""
+    surface = face.surface
+    if part.format not in ("step", "iges") or face.kind in SPLINES:
+        return surface
+    raised = [SMOOTH_DEGREE if degree == 1 else degree for degree in (surface.degree_u, surface.degree_v)]
+    periodic = (surface.periodic_u and surface.degree_u == 1) or (surface.periodic_v and surface.degree_v == 1)
+    return surface if periodic else elevated(surface, *raised)
+
+
 def _source_face(part: Part, face: Face, units: str) -> SourceFace:
     try:
-        surface = face.surface.scaled(conversion("mm", units))
+        surface = _sculptable(part, face).scaled(conversion("mm", units))
     except CadsculptError as error:
         raise InputError(error.what, where=f"{part.path.name}, face {face.name!r}", mend=error.mend) from None
     if face.warning:
         part.warnings.append(f"face {face.name!r}: {face.warning}")
     edges = tuple(
-        SourceEdge(edge.uv, tuple(part.faces.number(n).name for n in edge.neighbours), edge.seam, edge.degenerate)
+        SourceEdge(
+            edge.uv,
+            tuple(part.faces.number(n).name for n in edge.neighbours),
+            edge.seam,
+            edge.degenerate,
+            edge.tolerance * conversion("mm", units),
+        )
         for edge in face.edges
     )
     return SourceFace(face.number, face.name, surface, edges)
 
 
-def _tool_faces(spec: ToolSpec, scene: SceneFile, part_of: Callable[[str], tuple[Path, Part]]) -> list[SourceFace]:
+def _tool_faces(
+    spec: ToolSpec, scene: SceneFile, part_of: Callable[[str, str | None], tuple[Path, Part]]
+) -> list[SourceFace]:
     if spec.file is None:
         raise InputError("a surface tool needs a file", where=f"tool {spec.name!r}", mend='write file = "..."')
-    _, part = part_of(spec.file)
+    _, part = part_of(spec.file, spec.file_units)
     return [_source_face(part, face, scene.units) for face in part.faces.select(spec.faces or "all")]
 
 

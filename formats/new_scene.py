@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from ..errors import CadsculptError, InputError
 from ..jit import first_compilation
 from ..physics.material import PRESETS
-from ..units import conversion, metres_per_unit
+from ..units import conversion, metres_per_unit, unit_name
 from . import registry
 from .face_survey import FaceSamples, FaceSurvey, Spot, part_samples, survey
 from .load import Loaded, load
 from .part import Face, Part
-from .press import SHAPES, Press, kind_factor, placed, sizes_of, wanted
+from .press import SHAPES, USUAL, Press, Wish, kind_factor, placed, sizes_of, wanted
 from .scene_toml import SceneFile, dump
 
 Array = NDArray[np.float64]
@@ -41,9 +41,6 @@ MOST_FOLDS = 4
 
 FOLDS = "folds the lattice"
 """What the engine says of a lattice that is too thick for its face."""
-
-STEPS = 200
-"""Steps that a run should take, about."""
 
 CROSSINGS = 60.0
 """How often a wave crosses the thickness during a run: enough for the press to be quasi-static."""
@@ -70,11 +67,14 @@ def new_scene(
     *,
     shape: str = "sphere",
     face: str | None = None,
+    wish: Wish = USUAL,
+    units: str | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> NewScene:
     """A scene for the part at `path`, to be written to `out` (nothing is written here).
 
-    face : name or number of the face to press, any when None. on_progress : told in a few words what is being done.
+    face : name or number of the face to press, any when None. wish : how large the tool and how fine the lattice is to
+    be. units : length unit of the file's numbers, whatever it says. on_progress : told in a few words what is being done.
     Raises InputError when the part has no face on which this tool can press.
     """
     if shape not in SHAPES:
@@ -82,29 +82,29 @@ def new_scene(
     tell = on_progress or (lambda words: None)
     first = ", compiling the kernels, once on this machine" if first_compilation() else ""
     tell(f"reading {path.name}")
-    part = registry.read(path)
+    part = registry.read(path, units=units)
     chosen = _chosen(part, face)
     tell("looking for a place")
     failures: list[str] = []
     samples = part_samples(part)
     around = np.concatenate([np.zeros((0, 3)), *(entry.points for entry in samples.values())])
-    surveys = _surveys(chosen, samples, around, failures)
+    surveys = _surveys(chosen, samples, around, failures, wish)
     unfit: set[int] = set()
     for bold in (True, False):
         folded: set[int] = set()
         builds = 0
-        for wish in sorted(_presses(surveys, bold), key=lambda press: -press.score):
-            face_name, number = wish.survey.face.name, wish.survey.face.number
+        for sized in sorted(_presses(surveys, bold, wish), key=lambda press: -press.score):
+            face_name, number = sized.survey.face.name, sized.survey.face.number
             if number in unfit | folded or builds == MOST_BUILDS or len(folded) == MOST_FOLDS:
                 continue
-            press = placed(wish, shape, around)
+            press = placed(sized, shape, around)
             if press is None:
                 failures.append(f"face {face_name!r}: there is no room above it")
                 continue
             builds += 1
             tell(f"building the scene on face {face_name!r}{first}")
             try:
-                made = _confirmed(press, shape, part, path, out, attempts=1 if bold else 8)
+                made = _confirmed(press, shape, part, path, out, wish.steps, units, attempts=1 if bold else 8)
             except CadsculptError as error:
                 (folded if FOLDS in error.what else unfit).add(number)
                 failures.append(f"face {face_name!r}: {error.what}")
@@ -130,7 +130,7 @@ def _chosen(part: Part, face: str | None) -> list[Face]:
 
 
 def _surveys(
-    faces: Sequence[Face], samples: Mapping[int, FaceSamples], around: Array, failures: list[str]
+    faces: Sequence[Face], samples: Mapping[int, FaceSamples], around: Array, failures: list[str], wish: Wish
 ) -> list[tuple[FaceSurvey, list[Spot]]]:
     """Faces and their spots, surveyed from the most promising on, until no other can be better."""
     ranked = sorted(((_promise(face, samples.get(face.number)), face) for face in faces), key=lambda entry: -entry[0])
@@ -144,7 +144,7 @@ def _surveys(
             failures.append(f"face {face.name!r}: {error}")
             continue
         spots = seen.spots(around)
-        presses = [press for press in (wanted(seen, spot, bold=False) for spot in spots) if press is not None]
+        presses = [p for p in (wanted(seen, spot, bold=False, wish=wish) for spot in spots) if p is not None]
         if not presses:
             sharp = seen.fold < 0.1 * seen.size
             why = f"it bends with a radius of {seen.fold:.3g} mm" if sharp else "it is too narrow"
@@ -154,10 +154,10 @@ def _surveys(
     return found
 
 
-def _presses(surveys: Sequence[tuple[FaceSurvey, list[Spot]]], bold: bool) -> Iterator[Press]:
+def _presses(surveys: Sequence[tuple[FaceSurvey, list[Spot]]], bold: bool, wish: Wish) -> Iterator[Press]:
     for seen, spots in surveys:
         for spot in spots:
-            press = wanted(seen, spot, bold=bold)
+            press = wanted(seen, spot, bold=bold, wish=wish)
             if press is not None:
                 yield press
 
@@ -170,7 +170,9 @@ def _promise(face: Face, samples: FaceSamples | None) -> float:
 # ------------------------------------------------------------------ as a scene
 
 
-def _confirmed(press: Press, shape: str, part: Part, path: Path, out: Path, *, attempts: int) -> NewScene | str:
+def _confirmed(
+    press: Press, shape: str, part: Part, path: Path, out: Path, steps: int, units: str | None, *, attempts: int
+) -> NewScene | str:
     """The scene, once the engine has built it and found the tool outside at first and in the face at last.
 
     Returns what is wrong with this place when another place on the same face may do. Raises CadsculptError when the
@@ -178,7 +180,7 @@ def _confirmed(press: Press, shape: str, part: Part, path: Path, out: Path, *, a
     """
     for attempt in range(attempts):
         try:
-            scene = SceneFile.of(_values(press, shape, part, path, out), out)
+            scene = SceneFile.of(_values(press, shape, part, path, out, steps, units), out)
             loaded = load(scene)
             break
         except InputError as error:
@@ -215,7 +217,9 @@ def _fault(loaded: Loaded, pressed: float) -> str:
     return "" if depth > 0.3 * pressed else "the tool does not reach it"
 
 
-def _values(press: Press, shape: str, part: Part, path: Path, out: Path) -> dict[str, Any]:
+def _values(
+    press: Press, shape: str, part: Part, path: Path, out: Path, steps: int, file_units: str | None
+) -> dict[str, Any]:
     """The scene's values, lengths in the file's unit."""
     units = part.units or "mm"
     factor = conversion("mm", units)
@@ -229,7 +233,7 @@ def _values(press: Press, shape: str, part: Part, path: Path, out: Path) -> dict
         decimals = 4 - math.floor(math.log10(press.scale * factor))
         return [round(float(x), max(decimals, 0)) for x in (spot.point + value * spot.normal) * factor]
 
-    times = _times(press, metres_per_unit("mm"))
+    times = _times(press, metres_per_unit("mm"), steps)
     heights = (press.start, press.end, press.end, press.start)
     turn = _turn(spot.normal) if shape != "sphere" else None
     rows = [{"t": t, "at": height(h), **({"turn": turn} if turn else {})} for t, h in zip(times, heights, strict=True)]
@@ -247,6 +251,7 @@ def _values(press: Press, shape: str, part: Part, path: Path, out: Path) -> dict
             {
                 "name": "part",
                 "file": _relative(path, out),
+                **({"file_units": unit_name(file_units)} if file_units else {}),
                 "faces": [face.name if usable else face.number],
                 "thickness": length(press.thickness),
                 "nodes": length(press.spacing),
@@ -262,13 +267,13 @@ def _values(press: Press, shape: str, part: Part, path: Path, out: Path) -> dict
     }
 
 
-def _times(press: Press, metres: float) -> tuple[float, float, float, float]:
-    """Times in s: start, deepest, still deepest, back. Slow against waves through the thickness, in about STEPS."""
+def _times(press: Press, metres: float, steps: int) -> tuple[float, float, float, float]:
+    """Times in s: start, deepest, still deepest, back. Slow against waves through the thickness, in about `steps`."""
     clay = PRESETS[MATERIAL]
     speed = math.sqrt(clay.youngs_modulus / clay.density) / metres
     duration = significant(CROSSINGS * press.thickness / speed, 2)
     # an automatic step takes the fastest part of the path a tenth of the spacing further
-    lift = min(max((press.start - press.end) / (0.1 * press.spacing * STEPS), 0.1), 0.4)
+    lift = min(max((press.start - press.end) / (0.1 * press.spacing * steps), 0.1), 0.4)
     return (
         0.0,
         round_to(0.85 * (1.0 - lift) * duration, duration),

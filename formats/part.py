@@ -7,7 +7,7 @@ Every reader returns a `Part`; the registry decides which. Lengths of a part are
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -27,7 +27,8 @@ class FaceEdge:
 
     uv (n, 2) parameters on the face's surface, points (n, 3) in mm at the same places; `neighbours` are the numbers of the
     other faces that share the edge (empty for a free edge). A seam is the edge where a closed surface meets itself; a
-    degenerate edge is a pole, one point in space.
+    degenerate edge is a pole, one point in space. `tolerance` : how far apart the file lets its faces be there, mm; 0 when it
+    does not say.
     """
 
     uv: Array
@@ -35,6 +36,7 @@ class FaceEdge:
     neighbours: tuple[int, ...] = ()
     seam: bool = False
     degenerate: bool = False
+    tolerance: float = 0.0
 
 
 class Face(ABC):
@@ -70,12 +72,29 @@ class Face(ABC):
         """The face's edges, all loops."""
 
 
-class Faces(Sequence[Face]):
-    """The faces of a part: by position (`faces[0]`), by name (`faces["top"]`) or by number (`faces.number(1)`)."""
+@dataclass(frozen=True, slots=True)
+class Instance:
+    """A component of an assembly in one of its places. faces : the numbers of its faces; labels : what they are called
+    within the component, in the same order."""
 
-    def __init__(self, faces: Sequence[Face], where: str) -> None:
+    name: str
+    component: str
+    faces: tuple[int, ...]
+    labels: tuple[str, ...]
+
+
+class Faces(Sequence[Face]):
+    """The faces of a part: by position (`faces[0]`), by name (`faces["top"]`) or by number (`faces.number(1)`).
+
+    A face of an assembly has a second name, that of its instance and that within the component (`faces["bolt_2/head"]`).
+    """
+
+    def __init__(
+        self, faces: Sequence[Face], where: str, instances: Callable[[], Sequence[Instance]] = lambda: ()
+    ) -> None:
         self._faces = tuple(faces)
         self._where = where
+        self._instances = instances
         self._by_name = {face.name: face for face in self._faces}
 
     def __len__(self) -> int:
@@ -93,6 +112,11 @@ class Faces(Sequence[Face]):
         """The face of that name. Raises InputError with the nearest names when there is none."""
         if name in self._by_name:
             return self._by_name[name]
+        if "/" in name:
+            for instance in self._instances():
+                for label, number in zip(instance.labels, instance.faces, strict=True):
+                    if name == f"{instance.name}/{label}":
+                        return self._faces[number - 1]
         close = get_close_matches(name, self._by_name, n=3, cutoff=0.5)
         known = ", ".join(list(self._by_name)[:6]) + (", ..." if len(self._by_name) > 6 else "")
         mend = (
@@ -136,6 +160,38 @@ class Part(ABC):
     """The length unit of the file ("mm", "in", ...), "" when the file has none."""
     faces: Faces
     warnings: list[str]
+
+    @property
+    def instances(self) -> Sequence[Instance]:
+        """The components of an assembly, each place by itself, in the order of their faces; empty for a single part."""
+        return ()
+
+    def separated(self, instances: Sequence[str]) -> Part:
+        """The part with a shape of its own for each of these instances, so that sculpting them changes no other place.
+
+        Faces keep their numbers. Raises InputError for a name that no instance has, or where it cannot be done.
+        """
+        raise InputError("the part has no instances", where=str(self.path), mend="leave instances out")
+
+    @property
+    def extent(self) -> float:
+        """Longest side of a box around the part, mm, about right: from the control points. 0 without surfaces."""
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for face in self.faces:
+            if not face.warning:
+                points = face.surface.control_points.reshape(-1, 3)
+                low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+        return float((high - low).max()) if np.isfinite(low).all() else 0.0
+
+    @property
+    def tolerance(self) -> float | None:
+        """The distance, mm, below which the file takes two points for one; None when it does not say."""
+        return None
+
+    @property
+    def recorded_area(self) -> tuple[float, float] | None:
+        """The area of the part's geometry and the one that the file records beside it, mm2; None when it records none."""
+        return None
 
     @abstractmethod
     def sculpt(self, surfaces: Mapping[int, BSplineSurface]) -> None:

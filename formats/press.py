@@ -24,8 +24,24 @@ SPLINES = ("bspline", "bezier")
 PREFER_SPLINES = 8.0
 """A free-form face wins over another on which the dent would be up to this many times larger."""
 
-USUAL_NODES, MOST_NODES = 4000, 12000
-"""Nodes on the face, about: as a rule, and where the dent is small."""
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What is asked of a press. radius : of the tool over the face's size at most, None for as large as fits.
+
+    usual_nodes, most_nodes : on the face, about, as a rule and where the dent is small. steps : of the run, about.
+    """
+
+    radius: float | None = None
+    usual_nodes: int = 4000
+    most_nodes: int = 12000
+    steps: int = 200
+
+    @classmethod
+    def quick(cls, radius: float | None = None) -> Wish:
+        """A coarse lattice and few steps: a look in seconds."""
+        return cls(radius, 900, 2500, 40)
+
 
 DEEP = 0.05
 """How deep the tool presses, as a fraction of the face's size."""
@@ -38,6 +54,9 @@ MOST_LAYERS = 2
 
 FLATTEST = 10.0
 """A cell is at most this many times wider than it is high."""
+
+
+USUAL = Wish()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,23 +86,25 @@ class Press:
         return math.sqrt(max(2.0 * self.scale * self.depth - self.depth**2, 0.0))
 
 
-def wanted(seen: FaceSurvey, spot: Spot, *, bold: bool) -> Press | None:
+def wanted(seen: FaceSurvey, spot: Spot, *, bold: bool, wish: Wish = USUAL) -> Press | None:
     """The tool and the press that a spot takes, not placed yet (start and end are 0).
 
     bold : as thick as the press asks for, wherever the survey says that a lattice on its samples would fold. None where
     nothing can be pressed, or where the lattice would have to be so thin that its cells are mere flakes.
     """
     scale = min(0.4 * spot.room, 0.7 * spot.free_radius)
+    if wish.radius is not None:
+        scale = min(scale, wish.radius * seen.size)
     limit = math.inf if bold else 0.65 * seen.fold / THICK
     depth = min(DEEP * min(seen.size, 3.0 * spot.room), 0.45 * scale, limit)
     if not depth > 0.0:
         return None
     thickness = THICK * depth
     sized = Press(seen, spot, scale, depth, 0.0, 0.0, thickness, 1.0, 0.0)
-    spacing = _spacing(seen, sized.half_width)
+    spacing = _spacing(seen, sized.half_width, wish)
     if spacing > FLATTEST * thickness:
         return None
-    return replace(sized, spacing=spacing, score=_score(seen, sized, spacing))
+    return replace(sized, spacing=spacing, score=_score(seen, sized, spacing, wish))
 
 
 def placed(press: Press, shape: str, around: Array) -> Press | None:
@@ -104,14 +125,14 @@ def placed(press: Press, shape: str, around: Array) -> Press | None:
     return None
 
 
-def _spacing(seen: FaceSurvey, half_width: float) -> float:
+def _spacing(seen: FaceSurvey, half_width: float, wish: Wish) -> float:
     """Node spacing: the shorter side in 40, or a third of the dent's half width where that is not enough."""
     area = math.prod(seen.lengths)
-    usual = max(math.sqrt(area / USUAL_NODES), min(seen.lengths) / 40.0)
-    return max(math.sqrt(area / MOST_NODES), min(usual, half_width / 3.0))
+    usual = max(math.sqrt(area / wish.usual_nodes), min(seen.lengths) / 40.0)
+    return max(math.sqrt(area / wish.most_nodes), min(usual, half_width / 3.0))
 
 
-def _score(seen: FaceSurvey, press: Press, spacing: float) -> float:
+def _score(seen: FaceSurvey, press: Press, spacing: float, wish: Wish) -> float:
     """How good a dent this will be: its half width, less where nodes would not resolve it or would be many or slow."""
     resolved = min(1.0, press.half_width / (2.0 * spacing))
     nodes = math.prod(
@@ -119,7 +140,7 @@ def _score(seen: FaceSurvey, press: Press, spacing: float) -> float:
     )
     # sub-steps follow the smallest cell, that of the shortest knot span
     smallest = min(spacing, 0.5 * seen.shortest, press.thickness / 2.0)
-    slow = (nodes / USUAL_NODES) * (press.thickness / smallest) / 10.0
+    slow = (nodes / wish.usual_nodes) * (press.thickness / smallest) / 10.0
     broken = 1.0 if np.isfinite(seen.normals).all() else 0.1
     return kind_factor(seen.face) * press.half_width * resolved**2 * broken / math.sqrt(max(1.0, slow))
 

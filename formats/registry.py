@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..spline.surface import BSplineSurface
 from ..units import conversion, unit_name
 from .part import Part
+from .unit_doubt import unit_doubt
 
 Reader = Callable[..., Part]
 
@@ -35,6 +36,10 @@ NAMES = {
 }
 
 
+CAD_SYSTEMS = ("step", "iges", "3dm")
+"""Formats whose files name their unit without their author having chosen it."""
+
+
 def read(path: str | os.PathLike[str], *, units: str | None = None) -> Part:
     """Read a CAD file of any known format.
 
@@ -53,6 +58,9 @@ def read(path: str | os.PathLike[str], *, units: str | None = None) -> Part:
             mend=f"it reads {', '.join(NAMES.values())}: {' '.join(SUFFIXES)}",
         )
     part = _reader(format)(path, units=units)
+    if units is None and part.units and part.format in CAD_SYSTEMS:
+        doubt = unit_doubt(part.extent, part.units, part.tolerance, part.recorded_area)
+        part.warnings += [doubt] if doubt else []
     if found and said and found != said:
         part.warnings.append(f"its name says {NAMES[said]}, but it is a {NAMES[found]} file")
     return part

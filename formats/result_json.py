@@ -22,6 +22,7 @@ from .._version import __version__
 from ..errors import InputError
 from ..expect import Expectation as Expectation
 from ..expect import condition_in_words as condition_in_words
+from ..export_fit import ExportedFace, ExportedSeam
 from ..history import Summary
 from .atomic import write_whole
 
@@ -82,6 +83,38 @@ class FileHash:
 
 
 @dataclass(frozen=True, slots=True)
+class FaceFit:
+    """The refit of one sculpted face: the net that went to CAD, beside the one as read and the one that the run used.
+
+    outcome : "within" the tolerance, or what kept it from it: "limit", "nodes", "seams" or "refine".
+    """
+
+    name: str
+    control_points: tuple[int, int]
+    control_points_as_read: tuple[int, int]
+    control_points_while_running: tuple[int, int]
+    refit_max_error: float
+    refit_rms_error: float
+    refit_between_error: float
+    max_error_while_running: float
+    outcome: str
+
+    @classmethod
+    def of(cls, face: ExportedFace) -> FaceFit:
+        return cls(
+            face.name,
+            face.surface.shape,
+            face.read_shape,
+            face.working_shape,
+            face.error.maximum,
+            face.error.rms,
+            face.between,
+            face.working.maximum,
+            face.outcome,
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """A run's outcome; `time` [s] is the simulated time reached in `steps` steps."""
 
@@ -96,6 +129,8 @@ class Result:
     inputs: tuple[FileHash, ...] = ()
     outputs: tuple[FileHash, ...] = ()
     warnings: tuple[str, ...] = ()
+    faces: tuple[FaceFit, ...] = ()
+    seams: tuple[ExportedSeam, ...] = ()
     cadsculpt: str = __version__
 
 
@@ -134,6 +169,8 @@ def result_object(result: Result) -> dict[str, Any]:
             "inputs": _sorted(result.inputs),
             "outputs": _sorted(result.outputs),
             "warnings": list(result.warnings),
+            "faces": [asdict(face) for face in result.faces],
+            "seams": [asdict(seam) for seam in result.seams],
         }
     )
 
@@ -215,11 +252,17 @@ def read_result(path: str | os.PathLike[str]) -> Result:
             inputs=tuple(FileHash(**entry) for entry in data["inputs"]),
             outputs=tuple(FileHash(**entry) for entry in data["outputs"]),
             warnings=tuple(data.get("warnings", ())),
+            faces=tuple(FaceFit(**_tuples(entry)) for entry in data.get("faces", ())),
+            seams=tuple(ExportedSeam(**_tuples(entry)) for entry in data.get("seams", ())),
             cadsculpt=str(data["cadsculpt"]),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         reason = f"no {error.args[0]!r} in it" if isinstance(error, KeyError) else str(error)
         raise InputError(f"not a result of cadsculpt: {reason}", where=str(path)) from error
+
+
+def _tuples(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
 
 
 def hashed(folder: str | os.PathLike[str], files: Iterable[str | os.PathLike[str]]) -> tuple[FileHash, ...]:
@@ -264,6 +307,7 @@ def _finite(value: Any) -> Any:
 
 
 _OPTIONAL_NUMBER = {"type": ["number", "null"]}
+_SHAPE = {"type": "array", "items": {"type": "integer"}, "minItems": 2, "maxItems": 2}
 _FILES = {
     "type": "array",
     "items": {
@@ -279,7 +323,7 @@ def result_schema() -> dict[str, Any]:
     return {
         "title": "cadsculpt result",
         "type": "object",
-        "required": [f.name for f in fields(Result) if f.name != "warnings"],
+        "required": [f.name for f in fields(Result) if f.name not in ("warnings", "faces", "seams")],
         "properties": {
             "cadsculpt": {"type": "string", "description": "version that ran"},
             "scene": {"type": "string"},
@@ -291,6 +335,32 @@ def result_schema() -> dict[str, Any]:
                 "type": "object",
                 "required": [f.name for f in fields(Summary)],
                 "properties": {f.name: _OPTIONAL_NUMBER for f in fields(Summary)},
+            },
+            "faces": {
+                "type": "array",
+                "description": "the refit of every sculpted face",
+                "items": {
+                    "type": "object",
+                    "required": [f.name for f in fields(FaceFit)],
+                    "properties": {
+                        **dict.fromkeys([f.name for f in fields(FaceFit)], _OPTIONAL_NUMBER),
+                        **dict.fromkeys([f.name for f in fields(FaceFit) if f.name.startswith("control")], _SHAPE),
+                        "name": {"type": "string"},
+                        "outcome": {"enum": ["within", "limit", "nodes", "seams", "refine"]},
+                    },
+                },
+            },
+            "seams": {
+                "type": "array",
+                "description": "common edges of sculpted faces, and the seams of closed ones; angles in degrees",
+                "items": {
+                    "type": "object",
+                    "required": [f.name for f in fields(ExportedSeam)],
+                    "properties": {
+                        **dict.fromkeys([f.name for f in fields(ExportedSeam)], _OPTIONAL_NUMBER),
+                        "faces": {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2},
+                    },
+                },
             },
             "expectations": {
                 "type": "array",

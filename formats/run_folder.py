@@ -39,7 +39,7 @@ from .html_report.report import write_report
 from .load import Loaded, load
 from .mesh import write_lattice
 from .pictures import PICTURE_FOLDER, draw, run_pictures
-from .result_json import Result, Timing, hashed, result_object, write_result
+from .result_json import FaceFit, Result, Timing, hashed, result_object, write_result
 from .scene_toml import SceneFile
 from .tessellate import background, outlines
 from .vtk_series import SeriesWriter, read_frame
@@ -138,6 +138,8 @@ def _finish(
         time=session.state.time,
         converged=result.converged,
         summary=result.summary,
+        faces=tuple(FaceFit.of(face) for face in result.exported.faces),
+        seams=result.exported.seams,
         expectations=result.expectations,
         timing=Timing.of_steps(
             1e3 * np.sum(list(timing.values()), axis=0),
@@ -372,7 +374,7 @@ class _Writing:
     def _cad(self, result: RunResult) -> list[str]:
         """The parts with the sculpted faces in place, in every format that the scene asks for."""
         warnings: list[str] = []
-        sculpted = self.loaded.sculpted(result.session)
+        sculpted = self.loaded.sculpted(result.exported)
         several = len(sculpted) > 1
         nets: list[BSplineSurface] = []
         for path, surfaces in sculpted.items():

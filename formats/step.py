@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
+import numpy as np
 from OCP.APIHeaderSection import APIHeaderSection_MakeHeader
 from OCP.collections import Sequence_TCollection_AsciiString
 from OCP.IFSelect import IFSelect_ReturnStatus
@@ -27,9 +28,14 @@ from .occt.document import (
     set_length_unit,
     wrong_entities,
 )
+from .occt.face import OcctFace
+from .occt.moments import moments_of
 from .occt.part import OcctPart
 from .occt.probe import ensure_survives
 from .occt.quiet import quiet
+from .step_entities import StepEntities
+from .step_properties import update
+from .step_splice import CannotSpliceError, splice
 from .step_text import REAL_FORMAT, TIME_STAMP, StepFacts, facts_of, settled
 
 _KERNEL_UNITS = {
@@ -37,6 +43,14 @@ _KERNEL_UNITS = {
     "uin": "UIN",
 }  # fmt: skip
 """Length units that the kernel writes, by its own names."""
+
+
+SAME_SURFACE = 1e-10
+"""Relative to its size, how near a sculpted surface must read back to what was written."""
+
+SAME_AREA = 1e-4
+"""Relative difference up to which the area of a sculpted face that reads back is the same: its edges may be projected
+anew."""
 
 
 def read(path: Path, *, units: str | None = None) -> OcctPart:
@@ -47,9 +61,12 @@ def read(path: Path, *, units: str | None = None) -> OcctPart:
     return load(path, units=units)
 
 
-def load(path: Path, *, units: str | None = None, probing: bool = False) -> OcctPart:
-    """`read`; when not `probing`, a file that looks damaged is tried in another process first."""
-    data = _content(path)
+def load(path: Path, *, units: str | None = None, probing: bool = False, data: bytes | None = None) -> OcctPart:
+    """`read`; when not `probing`, a file that looks damaged is tried in another process first.
+
+    data : the file's text, when it is not to be read from `path`.
+    """
+    data = _content(path) if data is None else data
     facts = facts_of(data)
     tried = probing
     if not tried and (facts.damaged or not facts.complete):
@@ -83,7 +100,12 @@ def load(path: Path, *, units: str | None = None, probing: bool = False) -> Occt
             raise InputError(what, where=str(path), mend=_mend(facts))
         warnings += _losses(facts, wrong, count)
         names = face_names(document)
-    return OcctPart(document, path, "step", unit, warnings=warnings, schema=facts.schema, names=names)
+        sound = facts.complete and (
+            not facts.damaged or not wrong
+        )  # damage elsewhere than in the shape is kept as it is
+        source = StepEntities.of(reader.ChangeReader(), data) if sound else None
+    return OcctPart(document, path, "step", unit, warnings=warnings, schema=facts.schema, source=source,
+                    relabelled=factor != 1.0, names=names)  # fmt: skip
 
 
 def _content(path: Path) -> bytes:
@@ -148,12 +170,61 @@ def _unit_of(reader: STEPCAFControl_Reader) -> tuple[str, list[str]]:
 def write(part: OcctPart, path: Path) -> None:
     """Write a part as STEP in its own unit and application protocol, with names, colours, layers and placements.
 
-    One part gives the same bytes at any time in any process. Raises InputError when it cannot be written; nothing is
-    left behind then.
+    A part that was read from a STEP file goes back into that file's text, where only what was sculpted changes; a warning
+    says when that cannot be and the kernel writes it anew. One part gives the same bytes at any time in any process.
+    Raises InputError when it cannot be written; nothing is left behind then.
     """
-    with quiet():
-        data = text_of(part, path.name)
+    data = None
+    if part.source is not None and not part.relabelled:
+        try:
+            data = spliced_text(part, part.source)
+        except CannotSpliceError as error:
+            part.warnings.append(f"{path.name} is written anew, with what the CAD kernel knows of the file: {error}")
+    if data is None:
+        with quiet():
+            data = text_of(part, path.name)
     write_whole(path, data)
+
+
+def spliced_text(part: OcctPart, source: StepEntities) -> bytes:
+    """The text of the file that the part was read from, with the sculpted faces in it.
+
+    Raises CannotSpliceError where the text cannot take them, or does not read back as the part is.
+    """
+    if not part.sculpted:
+        return source.records.data
+    faces = [part.face(number) for number in sorted(part.sculpted)]
+    with quiet():
+        records = splice(source, faces, part.moved.edges, part.moved.vertices)
+        numbers = {source.of_shape(face.shape): face.number for face in faces}
+        before = {record: part.before[number] for record, number in numbers.items()}
+        after = {record: moments_of(part.face(number)) for record, number in numbers.items()}
+        told = update(records, before, after)
+    data = records.text()
+    try:
+        again = load(part.path, probing=True, data=data)
+    except InputError as error:
+        raise CannotSpliceError(f"its text with the sculpted faces cannot be read: {error.what}") from error
+    if len(again.faces) != len(part.faces):
+        raise CannotSpliceError("its text with the sculpted faces reads back as other faces")
+    for face in faces:
+        _compare(face, again.face(face.number))
+    if part.validity().valid and not again.validity().valid:
+        raise CannotSpliceError("its text with the sculpted faces reads back as a faulty part")
+    part.warnings += [line for line in told if line not in part.warnings]
+    return data
+
+
+def _compare(face: OcctFace, again: OcctFace) -> None:
+    """Raise CannotSpliceError when a face that was read back is not what was written."""
+    here, there = face.surface, again.surface
+    u, v = (np.linspace(*bounds, 17) for bounds in here.domain)
+    slack = SAME_SURFACE * max(here.size, 1e-300)
+    same = np.abs(np.subtract(here.domain, there.domain)).max() <= 1e-9 * max(high - low for low, high in here.domain)
+    if not same or np.abs(here.evaluate(u[:, None], v) - there.evaluate(u[:, None], v)).max() > slack:
+        raise CannotSpliceError(f"face {face.number} reads back otherwise than it was written")
+    if abs(face.area - again.area) > SAME_AREA * face.area:
+        raise CannotSpliceError(f"face {face.number} reads back with another border")
 
 
 def text_of(part: OcctPart, name: str) -> bytes:

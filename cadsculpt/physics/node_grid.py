@@ -101,7 +101,7 @@ def node_grid(
             f"a net that follows nodes {spacing[0]:g} x {spacing[1]:g} apart needs more than "
             f"{most_control_points} control points",
             where=surface.name,
-            mend="raise refit.max_control_points or the node spacing",
+            mend="raise the node spacing",
         )
     fine = insert_knots(surface, knots[0], knots[1])
     return NodeGrid(

@@ -68,7 +68,7 @@ def body_modes(free: Index, gamma: Array, x: Array) -> tuple[Array, Array]:
     for k, body in enumerate(bodies):
         r = x[body] - gamma[body] @ x[body] / gamma[body].sum()
         # lengths and angles alike
-        r = r / np.sqrt(np.einsum("nc,nc->n", r, r).max())
+        r = r / max(float(np.linalg.norm(r, axis=1).max()), 1e-300)
         motions = np.concatenate(
             [np.broadcast_to(axis, r.shape)[None] for axis in np.eye(3)]
             + [np.cross(axis, r)[None] for axis in np.eye(3)]

@@ -138,6 +138,8 @@ def _summary(result: Result) -> list[tuple[str, str, str]]:
         ("Refit error, largest", s.refit_max_error, length),
         ("Refit error, RMS", s.refit_rms_error, length),
     ]
+    if result.seams:
+        rows.append(("Gap along common edges, largest", s.seam_max_gap, length))
     return [
         (name, "none" if value is None else f"{value:.4g}", "" if value is None else unit) for name, value, unit in rows
     ]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from OCP.Bnd import Bnd_Box
+from OCP.BRep import BRep_Tool
 from OCP.BRepBndLib import BRepBndLib
 from OCP.BRepGProp import BRepGProp
 from OCP.BRepTools import BRepTools
@@ -239,7 +240,7 @@ class OcctFace(Face):
             for item in loop:
                 uv, points = sample_edge(surface, item.curve)
                 others = tuple(n for n in self._neighbours(item.edge) if n != self.number)
-                found.append(FaceEdge(uv, points, others, item.seam, item.degenerate))
+                found.append(FaceEdge(uv, points, others, item.seam, item.degenerate, BRep_Tool.Tolerance_s(item.edge)))
         return tuple(found)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,7 @@ from OCP.gp import gp_Pnt
 from OCP.TopAbs import TopAbs_ShapeEnum
 from OCP.TopExp import TopExp
 from OCP.TopLoc import TopLoc_Location
-from OCP.TopoDS import TopoDS, TopoDS_Edge, TopoDS_Shape
+from OCP.TopoDS import TopoDS, TopoDS_Edge, TopoDS_Shape, TopoDS_Vertex
 
 from .boundary import placement
 from .curve import curve_on_surface
@@ -42,6 +43,17 @@ CURVE_TOLERANCE = 2e-8
 """Distance, mm, within which a rebuilt edge runs on its surface."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Moved:
+    """The edges that got another curve and the vertices that got another point."""
+
+    edges: tuple[TopoDS_Edge, ...] = ()
+    vertices: tuple[TopoDS_Vertex, ...] = ()
+
+    def __add__(self, other: Moved) -> Moved:
+        return Moved(self.edges + other.edges, self.vertices + other.vertices)
+
+
 class Gaps:
     """How far the curves of edges lie apart, by edge, wherever it is placed."""
 
@@ -61,7 +73,7 @@ class Gaps:
         return self._gaps[place - 1] if place else 0.0
 
 
-def follow(part: OcctPart, faces: Sequence[OcctFace], before: Gaps) -> None:
+def follow(part: OcctPart, faces: Sequence[OcctFace], before: Gaps) -> Moved:
     """Rebuild the edges that the surfaces of these faces have left, move their vertices, raise tolerances where needed.
 
     before : the gaps as they were; an edge whose curves are no farther apart than that did not move. An edge that a face
@@ -90,9 +102,10 @@ def follow(part: OcctPart, faces: Sequence[OcctFace], before: Gaps) -> None:
                 )
             elif _rebuild(edge, surfaces):
                 moved.Add(edge)
-    touched = _move_vertices(part.shape, moved)
+    touched, vertices = _move_vertices(part.shape, moved)
     for edge in [*edges, *touched]:
         settle_edge(edge)
+    return Moved(tuple(TopoDS.Edge(moved.FindKey(i)) for i in range(1, moved.Extent() + 1)), tuple(vertices))
 
 
 def _twin(part: OcctPart, number: int, faces: Sequence[OcctFace]) -> bool:
@@ -118,10 +131,15 @@ def _rebuild(edge: TopoDS_Edge, surfaces: Sequence[object]) -> bool:
     return True
 
 
-def _move_vertices(shape: TopoDS_Shape, moved: IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher) -> list[TopoDS_Edge]:
-    """Put vertices where the moved edges end, unless an edge that stays ends there. Returns the other edges concerned."""
+def _move_vertices(
+    shape: TopoDS_Shape, moved: IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher
+) -> tuple[list[TopoDS_Edge], list[TopoDS_Vertex]]:
+    """Put vertices where the moved edges end, unless an edge that stays ends there.
+
+    Returns the other edges concerned, and the vertices that were moved.
+    """
     if moved.Extent() == 0:
-        return []
+        return [], []
     around = IndexedDataMap_TopoDS_Shape_List_TopoDS_Shape_TopTools_ShapeMapHasher()
     TopExp.MapShapesAndAncestors_s(shape, TopAbs_ShapeEnum.TopAbs_VERTEX, TopAbs_ShapeEnum.TopAbs_EDGE, around)
     builder = BRep_Builder()
@@ -129,6 +147,7 @@ def _move_vertices(shape: TopoDS_Shape, moved: IndexedMap_TopoDS_Shape_TopTools_
     for i in range(1, moved.Extent() + 1):
         TopExp.MapShapes_s(moved.FindKey(i), TopAbs_ShapeEnum.TopAbs_VERTEX, vertices)
     others: list[TopoDS_Edge] = []
+    changed: list[TopoDS_Vertex] = []
     for i in range(1, vertices.Extent() + 1):
         vertex = TopoDS.Vertex(vertices.FindKey(i))
         beside = [TopoDS.Edge(e) for e in around.FindFromKey(vertex)] if around.Contains(vertex) else []
@@ -140,7 +159,8 @@ def _move_vertices(shape: TopoDS_Shape, moved: IndexedMap_TopoDS_Shape_TopTools_
             continue
         point = np.mean(places, axis=0)
         builder.UpdateVertex(vertex, gp_Pnt(*point.tolist()), 0.0)
-    return others
+        changed.append(vertex)
+    return others, changed
 
 
 def _end(edge: TopoDS_Edge, vertex: TopoDS_Shape) -> Array | None:

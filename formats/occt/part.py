@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from OCP.Bnd import Bnd_Box
 from OCP.BRep import BRep_Builder
+from OCP.BRepBndLib import BRepBndLib
 from OCP.collections import IndexedDataMap_TopoDS_Shape_List_TopoDS_Shape_TopTools_ShapeMapHasher
 from OCP.TDocStd import TDocStd_Document
 from OCP.TopAbs import TopAbs_ShapeEnum
@@ -16,13 +19,21 @@ from OCP.TopoDS import TopoDS_Compound, TopoDS_Edge, TopoDS_Face, TopoDS_Shape
 from ...errors import InputError
 from ...spline.surface import BSplineSurface, Provenance
 from ...units import unit_name
-from ..part import Faces, Part, Validity
+from ..part import Faces, Instance, Part, Validity
 from . import document as occt_document
 from .face import OcctFace
+from .follow import Moved
+from .moments import Moments, moments_of
 from .quiet import quiet
 from .validity import validity_of
 
+if TYPE_CHECKING:
+    from ..step_entities import StepEntities
+
 _AREA_LINE = "the area of its faces"
+
+LARGE = 1e4
+"""mm; a part that seems larger is looked at more closely."""
 
 WORTH_SAYING = 5e-4
 """Relative difference between the exact area and the CAD kernel's that is told."""
@@ -31,7 +42,9 @@ WORTH_SAYING = 5e-4
 class OcctPart(Part):
     """A part whose shapes live in a document of the CAD kernel, in mm.
 
-    `schema` is the application protocol of a STEP file ("AP203", "AP214IS", "AP242DIS"), "" otherwise.
+    `schema` is the application protocol of a STEP file ("AP203", "AP214IS", "AP242DIS"), "" otherwise. `source` are a STEP
+    file's records and which of them the shapes came from; None where the file's text cannot be written again.
+    `relabelled`: its numbers were taken in another unit than it says.
     """
 
     def __init__(
@@ -43,6 +56,8 @@ class OcctPart(Part):
         *,
         warnings: Sequence[str] = (),
         schema: str = "",
+        source: StepEntities | None = None,
+        relabelled: bool = False,
         names: occt_document.FaceNames | None = None,
     ) -> None:
         self.document = document
@@ -57,18 +72,72 @@ class OcctPart(Part):
             self._number = _Numbers(self.shape)
             names = names or occt_document.face_names(document)
             found = list(occt_document.faces_in(self.shape))
-            unique = _unique_names([names.of(face) for face in found])
+            self._own_names = [names.of(face) for face in found]
+            unique = _unique_names(self._own_names)
         self.faces = Faces(
             [
                 OcctFace(face, n, name, Provenance(path.name, name, units), self._number.faces_on, self._compare_area)
                 for n, (face, name) in enumerate(zip(found, unique, strict=True), 1)
             ],
             str(path),
+            lambda: self.instances,
         )
         self._number.count(found)
+        self._instances: tuple[Instance, ...] | None = None
         self._as_read: Validity | None = None
         self._areas: dict[int, tuple[float, float]] = {}
-        self.sculpted = False
+        self.source = source
+        self.relabelled = relabelled
+        self.sculpted: set[int] = set()
+        """Numbers of the faces that were sculpted."""
+        self.before: dict[int, Moments] = {}
+        """What the sculpted faces added to the part before."""
+        self.moved = Moved()
+        """The edges and vertices that followed them."""
+
+    @property
+    def instances(self) -> Sequence[Instance]:
+        if self._instances is None:
+            from ..step_instances import instances_of
+
+            self._instances = () if self.source is None else instances_of(self, self.source, self._own_names)
+        return self._instances
+
+    def separated(self, instances: Sequence[str]) -> Part:
+        from ..step_instances import separated
+
+        return separated(self, self.source, instances)
+
+    @property
+    def extent(self) -> float:
+        box, close = Bnd_Box(), Bnd_Box()
+        with quiet():
+            BRepBndLib.Add_s(self.shape, box, False)
+            rough = _longest_side(box)
+            if rough <= LARGE:
+                return rough
+            BRepBndLib.AddOptimal_s(self.shape, close, False, False)  # surfaces may reach far beyond their trims
+        return _longest_side(close)
+
+    @property
+    def tolerance(self) -> float | None:
+        from ..step_units import tolerance
+
+        return None if self.source is None else tolerance(self.source.records)
+
+    @property
+    def recorded_area(self) -> tuple[float, float] | None:
+        from ..step_properties import whole_area
+
+        if self.source is None:
+            return None
+        recorded = whole_area(
+            self.source.records, {self.source.of_shape(self.face(f.number).shape) for f in self.faces}
+        )
+        if recorded is None:
+            return None
+        with quiet():
+            return sum(self.face(face.number).kernel_area() for face in self.faces), recorded
 
     def face(self, number: int) -> OcctFace:
         """The face of that number, with what the kernel knows of it."""
@@ -81,8 +150,11 @@ class OcctPart(Part):
 
         self.validity_as_read()
         with quiet():
-            sculpt(self, surfaces)
-        self.sculpted = True
+            for number in surfaces:
+                if number not in self.before:
+                    self.before[number] = moments_of(self.face(number))
+            self.moved += sculpt(self, surfaces)
+        self.sculpted.update(surfaces)
         self._areas.clear()
 
     def validity(self) -> Validity:
@@ -123,6 +195,14 @@ class OcctPart(Part):
     def faces_on(self, edge: TopoDS_Edge) -> tuple[int, ...]:
         """Numbers of the faces that an edge (as placed in the part) bounds."""
         return self._number.faces_on(edge)
+
+
+def _longest_side(box: Bnd_Box) -> float:
+    """0 for a box without end."""
+    if box.IsVoid() or box.IsOpen():
+        return 0.0
+    low, high = box.CornerMin(), box.CornerMax()
+    return float(max(high.X() - low.X(), high.Y() - low.Y(), high.Z() - low.Z()))
 
 
 class _Numbers:

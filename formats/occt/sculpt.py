@@ -24,7 +24,7 @@ from ...spline.surface import BSplineSurface
 from .arrays import from_integers, from_reals, integers, knots_and_multiplicities, reals
 from .boundary import pcurve, placement
 from .face import TRIM_TOLERANCE, OcctFace, parameter_scale, periodic_window
-from .follow import Gaps, follow
+from .follow import Gaps, Moved, follow
 from .shape import geom_of_surface, periodic_knots, surface_of_geom, transformed, unrolled_knots
 from .tolerance import FORWARD, REVERSED, edges_of
 from .trim import carried_trim, geom_of_trim
@@ -38,10 +38,11 @@ SAME = 1e-9
 """Relative difference below which knots, weights and repeated control points are the same."""
 
 
-def sculpt(part: OcctPart, surfaces: Mapping[int, BSplineSurface]) -> None:
+def sculpt(part: OcctPart, surfaces: Mapping[int, BSplineSurface]) -> Moved:
     """Give the faces with these numbers their sculpted surfaces; edges and vertices follow.
 
-    Raises InputError or GeometryError, before anything is changed, for a surface that does not belong to its face.
+    Returns those that moved. Raises InputError or GeometryError, before anything is changed, for a surface that does not
+    belong to its face.
     """
     faces = {number: part.face(number) for number in sorted(surfaces)}
     for number, face in faces.items():
@@ -54,7 +55,10 @@ def sculpt(part: OcctPart, surfaces: Mapping[int, BSplineSurface]) -> None:
         twins = [i + 1 for i, shape in enumerate(shapes) if shape is shapes[number - 1] and i + 1 != number]
         if twins:
             others = ", ".join(map(str, twins[:6])) + (", ..." if len(twins) > 6 else "")
-            part.warnings.append(f"face {number} is placed several times: its new shape shows in face {others} as well")
+            part.warnings.append(
+                f"face {number} is placed several times: its new shape shows in face {others} as well"
+                " (name its instance in the scene's instances to change one place)"
+            )
     before = Gaps([faces[number] for number in chosen])
     for number in chosen:
         face, surface = faces[number], surfaces[number]
@@ -71,7 +75,7 @@ def sculpt(part: OcctPart, surfaces: Mapping[int, BSplineSurface]) -> None:
         BRepTools.Clean_s(face.shape)
     for face in every:
         face.forget()
-    follow(part, [faces[number] for number in chosen], before)
+    return follow(part, [faces[number] for number in chosen], before)
 
 
 # ------------------------------------------------------------------------ checks
@@ -82,7 +86,10 @@ def _check(face: OcctFace, surface: BSplineSurface) -> None:
     surface.validate()
     own = face.surface
     where = face.where
-    if (surface.degree_u, surface.degree_v) != (own.degree_u, own.degree_v):
+    spline = isinstance(face.geom, Geom_BSplineSurface)
+    higher = surface.degree_u >= own.degree_u and surface.degree_v >= own.degree_v
+    # what becomes a spline only now may be one of a higher degree
+    if (surface.degree_u, surface.degree_v) != (own.degree_u, own.degree_v) and (spline or not higher):
         raise InputError(
             f"the sculpted surface has degrees {surface.degree_u} x {surface.degree_v}", where=where,
             mend=f"the face has {own.degree_u} x {own.degree_v}",

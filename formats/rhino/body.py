@@ -168,7 +168,10 @@ class Body:
         edges = []
         for record in self.trims_of_face(face):
             uv, points = sample_edge(surface, self.trim(record.index))
-            edges.append(FaceEdge(uv, points, self.neighbours(record), record.kind == SEAM, record.kind == SINGULAR))
+            seam, pole = record.kind == SEAM, record.kind == SINGULAR
+            # an unset tolerance is a huge negative number
+            tolerance = 0.0 if record.edge < 0 else max(self.brep.edges[record.edge].tolerance * self.place.scale, 0.0)
+            edges.append(FaceEdge(uv, points, self.neighbours(record), seam, pole, tolerance))
         return edges
 
     def fault(self, face: int) -> str:

@@ -12,8 +12,10 @@ import pytest
 
 from cadsculpt.errors import InputError
 from cadsculpt.expect import Expectation
+from cadsculpt.export_fit import ExportedSeam
 from cadsculpt.formats.result_json import (
     Case,
+    FaceFit,
     FileHash,
     Result,
     Timing,
@@ -32,7 +34,7 @@ RESULT = Result(
     steps=120,
     time=1.0 / 3.0,
     converged=True,
-    summary=Summary(0.1, 2.0 / 3.0, 0.01, 12.5, 33.3, 0.66, 1e-3, 1e-4),
+    summary=Summary(0.1, 2.0 / 3.0, 0.01, 12.5, 33.3, 0.66, 1e-3, 1e-4, 2e-8),
     expectations=(
         Expectation("first_contact", {"between": [0.05, 0.2]}, 0.1, True, ("thumb", "panel")),
         Expectation("verdict", {"never": "piercing"}, "contact", True),
@@ -41,6 +43,8 @@ RESULT = Result(
     timing=Timing.of_steps([1.0, 2.0, 9.0], compile_s=3.0, total_s=9.5, phases_ms={"cull": 1.5}),
     inputs=(FileHash("panel.step", "0" * 64),),
     outputs=(FileHash("series.pvd", "2" * 64), FileHash("contacts.csv", "1" * 64)),
+    seams=(ExportedSeam(("top", "side"), 2e-8, 1e-9, 1e-7, 0.02, 0.01),),
+    faces=(FaceFit("top", (19, 15), (8, 6), (36, 26), 1e-3, 1e-4, 1.1e-3, 1e-5, "within"),),
 )
 
 
@@ -53,7 +57,7 @@ def test_the_promised_keys() -> None:
     assert list(data)[: len(promised)] == promised
     assert list(data["summary"]) == [
         "first_contact", "max_depth", "max_penetration", "max_force", "max_contact_area", "max_displacement",
-        "refit_max_error", "refit_rms_error",
+        "refit_max_error", "refit_rms_error", "seam_max_gap",
     ]  # fmt: skip
     assert {"what", "expected", "measured", "ok"} <= set(data["expectations"][0])
     assert list(data["timing"]) == ["compile_s", "total_s", "step_ms", "phases_ms"]
@@ -107,6 +111,8 @@ def test_the_schema_names_what_is_written() -> None:
     assert set(schema["properties"]) == set(data)
     assert set(schema["required"]) <= set(data)
     assert set(schema["properties"]["summary"]["properties"]) == set(data["summary"])
+    assert set(schema["properties"]["faces"]["items"]["properties"]) == set(data["faces"][0])
+    assert set(schema["properties"]["seams"]["items"]["properties"]) == set(data["seams"][0])
     assert set(schema["properties"]["timing"]["properties"]) == set(data["timing"])
     json.dumps(schema)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ import pytest
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from cadsculpt.physics import implicit
 from cadsculpt.physics.calibrate import OFFSETS
 from cadsculpt.physics.explicit import ContactLoad
 from cadsculpt.physics.lattice import Lattice, build_lattice, spring_segments
@@ -211,3 +213,36 @@ def contact() -> Callable[..., ContactLoad]:
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def residual_along() -> Callable[..., Array]:
+    """residual_along(problem, x, d, duals) : the derivative of an implicit step's residual along d at x, by differences."""
+
+    def derivative(problem: implicit._Problem, x: Array, d: Array, duals: implicit._Duals) -> Array:
+        small = 1e-6 / np.abs(d).max()
+        ahead, behind = (implicit._balance(problem, x + sign * small * d, duals).residual for sign in (1.0, -1.0))
+        return (ahead - behind) / (2 * small)
+
+    return derivative
+
+
+@pytest.fixture(scope="session")
+def on_a_bonded_layer() -> Callable[[float], float]:
+    """on_a_bonded_layer(a / h) : the force of a rigid sphere on a layer of thickness h, bonded to a rigid base, over Hertz's;
+    a = sqrt(R d), Poisson's ratio 1/4 (Dimitriadis et al. 2002, eq. 11).
+    """
+
+    def factor(chi: float) -> float:
+        ratio = 0.25
+        a = -(1.2876 - 1.4678 * ratio + 1.3442 * ratio**2) / (1 - ratio)
+        b = (0.6387 - 1.0277 * ratio + 1.5164 * ratio**2) / (1 - ratio)
+        return (
+            1
+            - 2 * a / math.pi * chi
+            + 4 * (a / math.pi * chi) ** 2
+            - 8 / math.pi**3 * (a**3 + 4 * math.pi**2 / 15 * b) * chi**3
+            + 16 * a / math.pi**4 * (a**3 + 3 * math.pi**2 / 5 * b) * chi**4
+        )
+
+    return factor

@@ -1,0 +1,114 @@
+"""Reading one real file: does it come in, and is its area what others say?"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from corpus_index import Entry
+
+from cadsculpt.errors import CadsculptError
+from cadsculpt.formats import registry
+from cadsculpt.formats.mesh import read_mesh
+from cadsculpt.formats.part import Part
+from cadsculpt.formats.paths import path_file
+from cadsculpt.scene_tool import PathOptions
+
+SPLINES = ("bspline", "bezier")
+
+AGREES = 1e-3
+"""Relative difference of two areas below which they agree."""
+
+
+def read_row(entry: Entry) -> dict[str, Any]:
+    """read_ok, what was read, and the areas. A file that is refused in one line has `refused` and no more."""
+    try:
+        if entry.kind == "ccd":
+            return {"read_ok": True, **_queries(entry.path)}
+        if entry.kind == "toolpath":
+            return {"read_ok": True, **_toolpath(entry.path)}
+        if entry.kind == "mesh":
+            mesh = read_mesh(entry.path)
+            return {
+                "read_ok": True,
+                "triangles": len(mesh.triangles),
+                "closed": mesh.closed,
+                "warnings": list(mesh.warnings),
+            }
+        return _part_row(entry)
+    except CadsculptError as error:
+        return {"read_ok": False, "refused": str(error).replace(str(entry.path), entry.name)}
+
+
+def _part_row(entry: Entry) -> dict[str, Any]:
+    part = registry.read(entry.path)
+    area, lost = 0.0, 0
+    for face in part.faces:
+        try:
+            area += face.area if math.isfinite(face.area) and face.area < 1e50 else 0.0
+        except CadsculptError:
+            lost += 1
+    validity = part.validity()
+    row: dict[str, Any] = {
+        "read_ok": True,
+        "format": part.format,
+        "units": part.units,
+        "faces": len(part.faces),
+        "splines": sum(face.kind in SPLINES and not face.warning for face in part.faces),
+        "faces_without_surface": lost,
+        "area": area,
+        "valid": validity.valid,
+        "faults": len(validity.faults),
+    }
+    other, source = _other_area(entry, part)
+    if other is not None and other > 0.0:
+        row["area_other"], row["area_source"] = other, source
+        row["area_difference"] = abs(area - other) / other
+        row["area_agrees"] = row["area_difference"] <= AGREES
+    if entry.faces is not None:
+        row["faces_index"] = entry.faces
+    row["warnings"] = list(dict.fromkeys(part.warnings))
+    return row
+
+
+def _other_area(entry: Entry, part: Part) -> tuple[float | None, str]:
+    """An area that is not ours, mm2: the index's reading, else OpenCASCADE's quadrature of the faces as we hand them over."""
+    if entry.area is not None:
+        return (entry.area, "index") if entry.area > 0.0 else (None, "")
+    from OCP.BRepGProp import BRepGProp
+    from OCP.GProp import GProp_GProps
+
+    from cadsculpt.formats.occt.quiet import quiet
+    from cadsculpt.formats.occt.shape import shape_of_surface
+
+    total = 0.0
+    with quiet():
+        for face in part.faces:
+            try:
+                shape = shape_of_surface(face.surface)
+            except CadsculptError:
+                continue
+            properties = GProp_GProps()
+            BRepGProp.SurfaceProperties_s(shape, properties)
+            total += abs(float(properties.Mass()))
+    return total, "OpenCASCADE on the same faces"
+
+
+def _queries(path: Path) -> dict[str, Any]:
+    from truth_ccd import read_queries
+
+    points, truth = read_queries(path)
+    return {"queries": len(points), "hits": int(truth.sum())}
+
+
+def _toolpath(path: Path) -> dict[str, Any]:
+    if path.suffix == ".expected":
+        from corpus_toolpath import matches
+
+        return matches(path)
+    kinematics = re.search(r"boat-xyz(ac|bc)", path.name)
+    options = PathOptions(kinematics=f"xyz{kinematics[1]}-trt") if kinematics else None  # type: ignore[arg-type]
+    read = path_file.read(path, "mm", options)
+    return {"rows": len(read.path.t), "seconds": float(read.path.t[-1])}

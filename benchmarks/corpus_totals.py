@@ -1,0 +1,123 @@
+"""What the rows of all files come to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from corpus_index import TRAPS
+
+SAME = 1e-9
+
+
+def totals(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The totals by name; what does not hold is listed with the file and the reason that is known."""
+    return {"files": len(rows), **_reading(rows), **_roundtrip(rows), **_sculpting(rows)}
+
+
+def _stage(rows: list[dict[str, Any]], stage: str) -> dict[str, dict[str, Any]]:
+    return {row["file"]: row[stage] for row in rows if stage in row}
+
+
+def _reading(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    read = _stage(rows, "read")
+    crashed = {
+        f"{row['file']} {stage}": row[stage].get("crashed") or row[stage]["hung"]
+        for row in rows
+        for stage in ("read", "roundtrip", "sculpt")
+        if stage in row and ("crashed" in row[stage] or "hung" in row[stage])
+    }
+    judged = {name: row for name, row in read.items() if "area_agrees" in row}
+    off = {
+        name: {
+            "difference": row["area_difference"],
+            "beside": row["area_source"],
+            "reason": TRAPS.get(name) or next((w for w in row["warnings"] if "area" in w), "") or "not known",
+        }
+        for name, row in judged.items()
+        if not row["area_agrees"]
+    }
+    paths = [row["toolpath_expected_match"] for row in read.values() if "toolpath_expected_match" in row]
+    return {
+        "read_ok": sum(bool(row.get("read_ok")) for row in read.values()),
+        "refused_by_name": {name: row["refused"] for name, row in read.items() if "refused" in row},
+        "crashed": len(crashed),
+        **({"crashes": crashed} if crashed else {}),
+        "area_agrees": sum(row["area_agrees"] for row in judged.values()),
+        "area_judged": len(judged),
+        "area_exceptions": off,
+        "toolpath_expected_match": bool(paths) and all(paths),
+        "toolpath_programs": len(paths),
+    }
+
+
+def _roundtrip(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    trips = {name: row for name, row in _stage(rows, "roundtrip").items() if "format" in row}
+    largest: dict[str, dict[str, Any]] = {}
+    for name, row in trips.items():
+        for target, found in row.items():
+            if not isinstance(found, dict):
+                continue
+            pair = largest.setdefault(
+                f"{row['format']}->{target}",
+                {
+                    "files": 0,
+                    "faces": 0,
+                    "same": 0,
+                    "turned": 0,
+                    "error": 0.0,
+                    "lost": 0,
+                    "renamed": 0,
+                    "exceptions": {},
+                },
+            )
+            pair["files"] += 1
+            if "refused" in found:
+                pair["exceptions"][name] = f"refused: {found['refused']}"
+                continue
+            spline = found["spline"]
+            error = max(spline[key] for key in ("control_points", "knots", "weights", "trims"))
+            pair["compared"] = found["compared"]
+            pair["faces"] += spline["faces"]
+            pair["same"] += spline["same"]
+            pair["turned"] += spline["turned"]
+            pair["lost"] += found["lost"]
+            pair["renamed"] += found["renamed"]
+            pair["error"] = max(pair["error"], error)
+            if spline["same"] < spline["faces"] or found["lost"]:
+                pair["exceptions"][name] = (
+                    f"{spline['faces'] - spline['same']} of {spline['faces']} spline faces differ, "
+                    f"{spline['faces'] - spline['same_net']} in the net, {spline['trims_otherwise']} in the number of trims, "
+                    f"{found['lost']} lost; points {spline['control_points']:.2g}, knots {spline['knots']:.2g}, "
+                    f"weights {spline['weights']:.2g}, trims {spline['trims']:.2g} ({spline['worst_face']})"
+                )
+    return {
+        "roundtrip_files": len(trips),
+        "roundtrip_max_error": {pair: found["error"] for pair, found in sorted(largest.items())},
+        "roundtrip": dict(sorted(largest.items())),
+    }
+
+
+def _sculpting(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    every = {name: row for name, row in _stage(rows, "sculpt").items() if "skipped" not in row}
+    done = {name: row for name, row in every.items() if row.get("sculpted")}
+    valid = {name: row for name, row in done.items() if row["valid"]}
+    gaps = {name: row["seam_gap"] / row["seam_allowed"] for name, row in done.items() if row["seam_allowed"] > 0.0}
+    return {
+        "sculpt_files": len(every),
+        "sculpted": len(done),
+        "sculpt_refused": {name: row["refused"] for name, row in every.items() if "refused" in row},
+        "sculpted_valid": len(valid) / len(done) if done else None,
+        "sculpted_invalid": {name: row["new_faults"] for name, row in done.items() if not row["valid"]},
+        "untouched_changed": sum(row["untouched_changed"] for row in done.values()),
+        "untouched_exceptions": {n: row["changed_faces"] for n, row in done.items() if row["untouched_changed"]},
+        "seam_gap_max": max(gaps.values(), default=None),
+        "seam_exceptions": {
+            name: row["seam_gap"] for name, row in done.items() if row["seam_gap"] > row["seam_allowed"]
+        },
+        "refit_within_tolerance": sum(row["refit_ok"] for row in done.values()) / len(done) if done else None,
+        "refit_exceptions": {
+            name: f"{row['refit_error']:.3g} of {row['refit_tolerance']:.3g}: {row.get('refit_refused') or 'not refused'}"
+            for name, row in done.items()
+            if not row["refit_ok"]
+        },
+    }

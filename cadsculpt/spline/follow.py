@@ -1,0 +1,246 @@
+"""A face that follows another along their common edge: the displacement there is given, not found.
+
+Where the edge is a whole side of the face's domain, its boundary row of control points is solved once, for the other face's
+own curve, and the fit inside takes it (for G1 the next row too): the seam is closed to rounding where the net has the other
+face's knots, and to the fit of the curve where it has not. Elsewhere the displacement is asked for along the edge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .equations import Asked, displacement_along
+from .hold import Hold
+from .joints import joints, unknowns
+from .matrices import breakpoints, design_matrix
+from .net_fit import Given, NodeField
+from .refine import insert_knots
+from .surface import BSplineSurface
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ON_SIDE = 1e-7
+"""An edge this near to a side of the domain, as a part of the domain, is that side."""
+
+SAME_KNOT = 1e-9
+"""Knots this near, as a part of the domain, are one knot: what passing through another face's parameters costs."""
+
+MOST_ROUNDS = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lead:
+    """What a face must do along an edge, or at a point.
+
+    uv (n, 2) : places on the face, in order along the edge. displacement (n, 3) : of the leading face there. tolerance : how
+    near the face must come. across (n, 3), slack (n,) : the derivative, in the direction (n, 2) of (u, v), that keeps the faces
+    tangent, and how near it must come; None when that is not asked. knots (k,) : where the leading face's curve has knots, as
+    parameters along the following face's side.
+    """
+
+    uv: Array
+    displacement: Array
+    tolerance: float
+    across: Array | None = None
+    direction: Array | None = None
+    slack: Array | None = None
+    knots: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """A side of the domain: the end (0 or 1) of `axis` that an edge runs along."""
+
+    axis: int
+    end: int
+
+
+def side_of(surface: BSplineSurface, uv: Array) -> Side | None:
+    """The side that a chain uv (n, 2) runs along from corner to corner, if there the boundary row alone is the boundary."""
+    if len(uv) < 2:
+        return None
+    for axis in (0, 1):
+        low, high = surface.domain[axis]
+        first, last = surface.domain[1 - axis]
+        t = uv[:, 1 - axis]
+        whole = np.ptp(t) >= (1.0 - ON_SIDE) * (last - first)
+        for end, place in enumerate((low, high)):
+            if whole and np.abs(uv[:, axis] - place).max() <= ON_SIDE * (high - low) and _clamped(surface, axis, end):
+                return Side(axis, end)
+    return None
+
+
+def _clamped(surface: BSplineSurface, axis: int, end: int) -> bool:
+    """Whether the surface at this end of its domain is a curve of its boundary row alone."""
+    if (surface.periodic_u, surface.periodic_v)[axis]:
+        return False
+    knots = (surface.knots_u, surface.knots_v)[axis]
+    degree = (surface.degree_u, surface.degree_v)[axis]
+    ends = knots[: degree + 1] if end == 0 else knots[-degree - 1 :]
+    return bool(ends[0] == ends[-1]) or (knots[1] == knots[degree] if end == 0 else knots[-2] == knots[-degree - 1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Following:
+    """All that is given of a face's fit: what is held, and what it follows."""
+
+    hold: Hold
+    leads: tuple[Lead, ...]
+
+    def given(self, net: BSplineSurface) -> Given:
+        """For a net, the control points that are given and what is asked of the others."""
+        mask = self.hold.control_points(net)
+        held = mask.copy()
+        values = np.zeros((*net.shape, 3))
+        asked: list[Asked] = []
+        times = np.zeros(net.shape)
+        for lead in self.leads:
+            side = side_of(net, lead.uv)
+            if side is not None:
+                for depth, row in enumerate(boundary_rows(net, side, lead)):
+                    index = _row(net, side, depth)
+                    _share(values, times, mask, index, row)
+            elif (corner := _corner(net, lead.uv)) is not None:
+                _share(values, times, mask, corner, lead.displacement[0])
+            else:
+                asked.append(Asked(lead.uv, lead.displacement, np.full(len(lead.uv), lead.tolerance)))
+                if lead.across is not None and lead.direction is not None and lead.slack is not None:
+                    asked.append(Asked(lead.uv, lead.across, lead.slack, lead.direction))
+        values[held] = 0.0
+        return Given(mask, values if self.leads else None, tuple(asked))
+
+
+def _share(values: Array, times: Array, mask: Mask, index: tuple[int | slice, ...], row: Array) -> None:
+    """Give control points a displacement; where several are given, their mean."""
+    times[index] += 1.0
+    values[index] += (row - values[index]) / (times[index][..., None] if np.ndim(times[index]) else times[index])
+    mask[index] = True
+
+
+def _row(net: BSplineSurface, side: Side, depth: int) -> tuple[int | slice, ...]:
+    place = depth if side.end == 0 else net.shape[side.axis] - 1 - depth
+    return (place, slice(None)) if side.axis == 0 else (slice(None), place)
+
+
+def _corner(net: BSplineSurface, uv: Array) -> tuple[int, int] | None:
+    """The control point that is the surface at a single place uv (1, 2), if it is a corner of a clamped domain."""
+    if len(uv) != 1:
+        return None
+    index = []
+    for axis in (0, 1):
+        low, high = net.domain[axis]
+        ends = [e for e, t in enumerate((low, high)) if abs(uv[0, axis] - t) <= ON_SIDE * (high - low)]
+        if not ends or not _clamped(net, axis, ends[0]):
+            return None
+        index.append(0 if ends[0] == 0 else net.shape[axis] - 1)
+    return index[0], index[1]
+
+
+def boundary_rows(net: BSplineSurface, side: Side, lead: Lead) -> list[Array]:
+    """Displacements (count, 3) of the boundary row for which its curve is nearest to the lead's, and of the next row."""
+    axis, along = side.axis, 1 - side.axis
+    knots, degree = _direction(net, along)
+    t = np.clip(lead.uv[:, along], *net.domain[along])
+    basis = design_matrix(knots, degree, t)
+    T = unknowns(net, along, [], joints(net, along))
+    weights = np.ones(net.shape) if net.weights is None else net.weights
+    w = np.moveaxis(weights, axis, 0)
+    end, step = (0, 1) if side.end == 0 else (-1, -1)
+    w0, w1 = w[end], w[end + step]
+    W = basis @ w0
+    q0 = T @ _fitted(basis @ T, lead.displacement * W[:, None])
+    rows = [q0 / w0[:, None]]
+    if lead.across is not None and lead.direction is not None and net.shape[axis] > 2:
+        # D = Q / W; across the edge only the two outermost rows have a slope
+        across_knots, across_degree = _direction(net, axis)
+        slopes = design_matrix(across_knots, across_degree, np.array([net.domain[axis][side.end]]), 1)[0]
+        s0, s1 = float(slopes[end]), float(slopes[end + step])
+        slope = design_matrix(knots, degree, t, 1)
+        D = (basis @ q0) / W[:, None]
+        D_along = (slope @ q0 - D * (slope @ w0)[:, None]) / W[:, None]
+        a, b = lead.direction[:, axis, None], lead.direction[:, along, None]
+        wanted = (lead.across - b * D_along) / a
+        W_across = s0 * W + s1 * (basis @ w1)
+        values = (wanted * W[:, None] + D * W_across[:, None] - s0 * (basis @ q0)) / s1
+        rows.append(T @ _fitted(basis @ T, values) / w1[:, None])
+    return rows
+
+
+def _off(net: BSplineSurface, side: Side, lead: Lead) -> Array:
+    """How far the rows of a side are from what the lead asks, over its tolerance, at its places: (n,)."""
+    values = np.zeros((*net.shape, 3))
+    for depth, row in enumerate(boundary_rows(net, side, lead)):
+        values[_row(net, side, depth)] = row
+    away: Array = np.linalg.norm(displacement_along(net, values, lead.uv) - lead.displacement, axis=1) / lead.tolerance
+    if lead.across is not None and lead.direction is not None and lead.slack is not None:
+        turned = np.linalg.norm(displacement_along(net, values, lead.uv, lead.direction) - lead.across, axis=1)
+        away = np.maximum(away, turned / lead.slack)
+    return away
+
+
+def _fitted(basis: Array, values: Array) -> Array:
+    result: Array = np.linalg.lstsq(basis, values, rcond=1e-12)[0]
+    return result
+
+
+def _direction(net: BSplineSurface, axis: int) -> tuple[Array, int]:
+    return (net.knots_u, net.knots_v)[axis], (net.degree_u, net.degree_v)[axis]
+
+
+def edge_knots(
+    surface: BSplineSurface, field: NodeField, leads: Sequence[Lead], most_control_points: int, *, strict: bool = False
+) -> tuple[Array, Array]:
+    """The knots (u, v) that a face needs along its sides to follow its leads: theirs, and more until it is near enough.
+
+    Those that are not the leads' own have a node of `field` on either side: the nodes must determine the rows inside as well.
+    strict : so must all.
+    """
+    found = [np.zeros(0), np.zeros(0)]
+    for lead in leads:
+        side = side_of(surface, lead.uv)
+        if side is None:
+            continue
+        along = 1 - side.axis
+        nodes = (field.u, field.v)[along]
+        found[along] = _joined(surface, along, found[along], np.sort(lead.knots), nodes if strict else None)
+        before, idle = np.inf, 0
+        for _ in range(MOST_ROUNDS):
+            net = insert_knots(surface, *found)
+            off = _off(net, side, lead)
+            # where halving spans does not help the curve is none that this net has: what is left is told as a gap
+            idle = idle + 1 if off.max() > 0.5 * before else 0
+            before = float(off.max())
+            if before <= 1.0 or idle > 1:
+                break
+            borders = breakpoints(*_direction(net, along))
+            t = np.clip(lead.uv[:, along], *net.domain[along])
+            span = np.clip(np.searchsorted(borders, t, side="right") - 1, 0, len(borders) - 2)
+            halves = np.array([0.5 * (borders[k] + borders[k + 1]) for k in np.unique(span[off > 1.0])])
+            more = _joined(surface, along, found[along], halves, nodes)
+            shape = [surface.shape[k] + len(more if k == along else found[k]) for k in (0, 1)]
+            if len(more) == len(found[along]) or shape[0] * shape[1] > most_control_points:
+                break
+            found[along] = more
+    return found[0], found[1]
+
+
+def _joined(surface: BSplineSurface, axis: int, known: Array, wanted: Array, nodes: Array | None) -> Array:
+    """The known knots and those of the wanted ones that are no knots yet with a node on either side."""
+    low, high = surface.domain[axis]
+    own = breakpoints(*_direction(surface, axis))
+    slack = SAME_KNOT * (high - low)
+    result = list(known)
+    for t in wanted:
+        borders = np.sort(np.concatenate([own, result]))
+        if not low + slack < t < high - slack or np.abs(borders - t).min() <= slack:
+            continue
+        k = int(np.searchsorted(borders, t))
+        a, b = borders[k - 1], borders[k]
+        if nodes is None or (((nodes > a) & (nodes <= t)).any() and ((nodes > t) & (nodes <= b)).any()):
+            result.append(float(t))
+    return np.sort(result)
