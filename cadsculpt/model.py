@@ -22,6 +22,7 @@ from .motion.boxes import EVERYWHERE, grown, seen_boxes, swept_boxes
 from .motion.path import ToolPath
 from .patch import Patch, RigidFace, SourceFace, build_patch, build_rigid_face, held_edges, mean_lengths
 from .scene import Scene, ToolSpec
+from .seams import with_free_creases
 from .spline.surface import BSplineSurface
 from .substance import Substance
 from .tools.make import Tool, make_tool
@@ -173,6 +174,7 @@ def build_model(
         made = making.built(scene, k, swept, unit)
         patches += [face for face in made if isinstance(face, Patch)]
         rigid_faces += [face for face in made if isinstance(face, RigidFace)]
+    patches = with_free_creases(patches)
     everything: list[Patch | RigidFace] = [*patches, *rigid_faces]
     faces_of = tuple(tuple(n for n, face in enumerate(everything) if face.body == k) for k in range(len(makings)))
     tools = tuple(

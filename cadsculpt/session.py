@@ -468,8 +468,8 @@ class Session:
         return margin
 
     def _own_way(self, before: list[Pose], after: list[Pose], dt: float) -> float:
-        """How far bodies move by themselves in dt seconds, as fast as they are now: what pushes them faster within the time
-        is not in it."""
+        """How far bodies move by themselves in dt seconds at twice the speed they have now: what pushes them faster within the
+        time is not in it."""
         return 2.0 * dt * self._lattices.own_speed(self.state.lattices, before, after, dt)
 
     def _turned(self, before: list[Pose], after: list[Pose]) -> float:

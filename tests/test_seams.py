@@ -106,3 +106,37 @@ def test_an_edge_between_two_faces_is_none_of_the_bodys_edges():
     assert not anchored[-1, 1:-1].any()
     assert model.patches[0].held[0].all()
     assert not model.patches[0].held[-1, 1:-1].any()
+
+
+def corner(*, convex: bool) -> list[SourceFace]:
+    """The plate on [0, 16] x [0, WIDTH], and another that goes down, or up, from its edge at x = 16."""
+    flat = plate(0.0, 16.0, "flat")
+    x, y, z = np.moveaxis(flat.control_points, -1, 0)
+    net = np.stack([16.0 + z, y, -x if convex else x], axis=-1)
+    # outwards is along x for the one that goes down, against it for the one that goes up
+    side = BSplineSurface(net, flat.knots_u, flat.knots_v, 3, 3, outward=True, name="side")
+    along = side.normal(8.0, 8.0)[0]
+    side = BSplineSurface(net, flat.knots_u, flat.knots_v, 3, 3, outward=(along > 0) == convex, name="side")
+    return [
+        SourceFace(1, "flat", flat, (SourceEdge(line((16.0, 0.0), (16.0, WIDTH)), ("side",)),)),
+        SourceFace(2, "side", side, (SourceEdge(line((0.0, 0.0), (0.0, WIDTH)), ("flat",)),)),
+    ]
+
+
+@pytest.mark.parametrize("convex", [True, False])
+def test_an_edge_gives_way_where_the_material_does(convex):
+    """Below a convex edge the base of one face would hold the skin of the other: it does not. In a concave corner, as on a
+    plane, all of the base is held."""
+    model = model_of(corner(convex=convex), (14.5, 8.0))
+    flat, side = (patch.lattice.anchored.reshape(patch.lattice.shape)[..., -1] for patch in model.patches)
+    assert flat[:-4].all()
+    assert side[4:].all()
+    assert flat[-1].any() != convex
+    assert side[0].any() != convex
+    smooth = model_of(halves(), (14.5, 8.0))
+    assert all(patch.lattice.anchored.reshape(patch.lattice.shape)[..., -1].all() for patch in smooth.patches)
+    if convex:
+        session = pressed(model)
+        edge = session.displacement(0)[-1]
+        assert -edge[:, 2].min() > 0.5
+        np.testing.assert_allclose(edge, session.displacement(1)[0], atol=1e-12)
