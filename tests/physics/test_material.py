@@ -36,7 +36,7 @@ def test_bad_numbers_are_refused_by_name(field: str, value: float) -> None:
 
 
 def test_presets() -> None:
-    assert set(PRESETS) == {"clay", "foam", "rubber", "sheet steel", "aluminium"}
+    assert set(PRESETS) == {"clay", "foam", "rubber", "flesh", "sheet steel", "aluminium"}
     for name, material in PRESETS.items():
         assert material.name == name
     # the speed of sound in a thin bar, sqrt(E / density), of handbooks: steel 5.2 km/s, aluminium 5.1 km/s, rubber 50
