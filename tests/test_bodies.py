@@ -38,6 +38,7 @@ def moved(surface: BSplineSurface, by: list[float]) -> BSplineSurface:
 def model_of(
     models: list[tuple[BSplineSurface, dict[str, Any]]],
     tools: list[tuple[BSplineSurface | None, dict[str, Any]]],
+    stuff: dict[str, Any] = STUFF,
     **solver: Any,
 ) -> Model:
     """Models and tools, each of one surface and with further keys; a tool without one has a shape of its own."""
@@ -45,7 +46,7 @@ def model_of(
     scene = Scene.model_validate(
         {
             "units": "mm",
-            "material": {"stuff": STUFF},
+            "material": {"stuff": stuff},
             "model": [
                 {"name": f"model {i}", "file": "none"} | ({} if keys.get("rigid") else body) | keys
                 for i, (_, keys) in enumerate(models)
@@ -154,6 +155,62 @@ def test_a_tool_that_flies_and_turns_keeps_its_shape():
     assert np.abs(session.displacement(1)).max() < 5e-3
     x, rest = session.lattice(1).x, session.model.patches[1].lattice.nodes
     np.testing.assert_allclose(x, session.state.poses[0].to_world(rest), atol=5e-3)
+
+
+def test_one_answer_from_every_integrator():
+    """At rest after the press the explicit, the implicit and the quasi-static tool are one."""
+    found = []
+    for solver in ({}, {"integrator": "implicit"}, {"integrator": "implicit", "quasi_static": True}):
+        step = 1e-3 if not solver else 0.02
+        tool = {**SOFT, "path": rows((0.0, 0, 0, 0.1), (0.06, 0, 0, -0.4), (0.12, 0, 0, -0.4))}
+        model = model_of([(sheet(40.0), {"rigid": True})], [(sheet(16.0, up=False), tool)], step=step, **solver)
+        session = settled(model)
+        found.append((session.step()["tool 0"].force[2], session.displacement(0)))
+    force = [f for f, _ in found]
+    assert force == pytest.approx([force[0]] * 3, rel=0.01)
+    for _, displacement in found[1:]:
+        np.testing.assert_allclose(displacement, found[0][1], atol=0.01)
+
+
+def test_a_soft_tool_is_pushed_with_a_force():
+    tool = {**SOFT, "path": rows((0.0, 0, 0, 0.1), (0.2, 0, 0, -1.0)), "control": "force", "force": 1.0}
+    session = Session(model_of([(sheet(40.0), {"rigid": True})], [(sheet(16.0, up=False), tool)]))
+    for _ in range(150):
+        reaction = session.step()["tool 0"]
+    assert reaction.force[2] == pytest.approx(1.0, rel=0.01)
+    # E A strain, within what the sides hold back
+    strain = session.displacement(0)[..., 2].mean() / DEEP
+    assert 1.0 < 1.0 / (0.1 * 16.0**2 * strain) < 1.2
+
+
+def test_a_tool_of_plastic_material_keeps_a_set():
+    """Pressed beyond its yield strain and lifted: the set is the strain less what springs back, by linear hardening."""
+    stuff = STUFF | {"yield_strain": 0.02, "hardening": 0.2}
+    path = rows((0.0, 0, 0, 0.1), (0.06, 0, 0, -0.4), (0.10, 0, 0, -0.4), (0.14, 0, 0, 5.0), (0.2, 0, 0, 5.0))
+    session = settled(
+        model_of([(sheet(40.0), {"rigid": True})], [(sheet(16.0, up=False), {**SOFT, "path": path})], stuff=stuff)
+    )
+    assert len(session.contacts) == 0
+    left = session.displacement(0)[..., 2]
+    # sigma / E = yield + hardening (strain - yield) is what springs back
+    expected = DEEP * (0.1 - (0.02 + 0.2 * (0.1 - 0.02)))
+    assert left[3:-3, 3:-3].mean() == pytest.approx(expected, rel=0.15)
+
+
+def test_two_tools_of_which_one_is_soft_press_each_other():
+    path = rows((0.0, 0, 0, 30), (0.3, 0, 0, 30))
+    ball = {"shape": "sphere", "radius": 6.0, "path": rows((0.0, 0, 0, 23.9), (0.05, 0, 0, 24.4), (0.3, 0, 0, 24.4))}
+    tools = [(None, ball), (sheet(16.0, up=False), {**SOFT, "path": path})]
+    model = model_of([(sheet(16.0), {"rigid": True})], tools)
+    # contacts lie on the soft one, though it comes second
+    assert list(zip(model.pairs.a.tolist(), model.pairs.b.tolist(), strict=True)) == [(0, 1), (0, 2), (2, 1)]
+    session = Session(model)
+    for _ in range(120):
+        reaction = session.step()
+    assert set(session.contacts.a.tolist()) == {2}
+    assert reaction["tool 1"].force[2] > 0.01
+    np.testing.assert_allclose(reaction["tool 0"].force, -reaction["tool 1"].force, atol=1e-12)
+    assert session.displacement(0)[..., 2].max() == pytest.approx(0.4, abs=0.03)
 
 
 def test_only_what_may_meet_is_integrated_together():

@@ -237,6 +237,20 @@ def test_tools_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
         assert tool["description"] in text
 
 
+def test_tools_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from cadsculpt.formats import tool_toml
+
+    shipped = {"finger": tool_toml.library()["finger"]}
+    monkeypatch.setattr(tool_toml, "library", lambda: shipped)
+    assert cadsculpt(["tools", "--pictures", str(tmp_path / "new" / "folder"), "--json"]) == 0
+    (tool,) = json.loads(capsys.readouterr().out)["tools"]
+    picture = Path(tool["picture"])
+    assert picture == tmp_path / "new" / "folder" / "finger.png"
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    (tmp_path / "file").touch()
+    assert cadsculpt(["tools", "--pictures", str(tmp_path / "file")]) == 2
+
+
 @pytest.mark.parametrize("what", ["scene", "patches", "result", "tool"])
 def test_schemas_are_json_schemas(what: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cadsculpt(["schema", what]) == 0

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cadsculpt.errors import SceneError
-from cadsculpt.formats import tool_toml
+from cadsculpt.formats import patch_json, registry, tool_toml
 from cadsculpt.scene import ToolSpec
 
 
 def test_the_shipped_tools_are_all_there_and_right() -> None:
     names = set(tool_toml.library())
-    assert {"ball", "stylus", "thumb", "palm", "roller", "punch", "scraper", "half_space"} <= names
+    assert {"ball", "stylus", "thumb", "finger", "hand", "palm", "roller", "punch", "scraper", "half_space"} <= names
     for name in names:
         definition = tool_toml.load(name, Path("nowhere"))
         assert definition.shipped
@@ -23,6 +25,37 @@ def test_the_shipped_tools_are_all_there_and_right() -> None:
         assert definition.description
         for units in ("mm", "m", "in"):
             ToolSpec.model_validate(definition.keys_in(units))
+
+
+@pytest.mark.parametrize("name", ["finger", "hand"])
+def test_the_shipped_surfaces_are_what_their_script_makes(name: str, tmp_path: Path) -> None:
+    """Closed, outward, and to the last digit; the hand is a palm and five fingers."""
+    script = tool_toml.LIBRARY / "make_tools.py"
+    spec = importlib.util.spec_from_file_location("make_tools", script)
+    assert spec is not None
+    assert spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    surfaces = [made.finger("finger", 40.0, 16.0, 14.0, 2.4)] if name == "finger" else made.hand()
+    patch_json.write_surfaces(tmp_path / "again.json", surfaces, "mm")
+    kept = tool_toml.LIBRARY / f"{name}.json"
+    faces, again = registry.read(kept).faces, registry.read(tmp_path / "again.json").faces
+    assert [face.name for face in faces] == [face.name for face in again]
+    assert [face.name for face in faces] == (
+        ["finger"] if name == "finger" else ["palm", "index", "middle", "ring", "little", "thumb"]
+    )
+    for face, other in zip(faces, again, strict=True):
+        np.testing.assert_allclose(face.surface.control_points, other.surface.control_points, atol=1e-9)
+        surface = face.surface
+        u, v = np.linspace(0, 1, 65)[:, None], np.linspace(0.01, 0.99, 65)
+        points, normals = surface.evaluate(u, v), surface.normal(u, v)
+        # around and at both poles it is closed, and its normals point away from the middle
+        assert np.abs(points[0] - points[-1]).max() < 1e-9
+        middle = points.mean(axis=(0, 1))
+        assert (np.einsum("ijk,ijk->ij", points - middle, normals) > 0).mean() > 0.97
+        for end in (0.0, 1.0):
+            pole = surface.evaluate(np.linspace(0, 1, 9), end)
+            assert np.abs(pole - pole[0]).max() < 1e-9
 
 
 def definition(folder: Path, text: str, name: str = "my.tool.toml") -> tool_toml.ToolDefinition:
