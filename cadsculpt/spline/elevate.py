@@ -40,11 +40,11 @@ def _along(surface: BSplineSurface, axis: int, degree: int) -> BSplineSurface:
     net = np.concatenate([surface.control_points * weights[..., None], weights[..., None]], axis=2)
     at = np.tensordot(design_matrix(knots, old, greville), np.moveaxis(net, axis, 0), axes=1)
     count = len(greville)
-    raised = np.linalg.solve(design_matrix(new, degree, greville), at.reshape(count, -1)).reshape(at.shape)
-    raised[0], raised[-1] = at[0], at[-1]
-    raised = np.moveaxis(raised, 0, axis)
-    w = None if surface.weights is None else raised[..., 3]
-    points = raised[..., :3] if w is None else raised[..., :3] / raised[..., 3:]
+    solved: Array = np.linalg.solve(design_matrix(new, degree, greville), at.reshape(count, -1)).reshape(at.shape)
+    solved[0], solved[-1] = at[0], at[-1]
+    raised: Array = np.moveaxis(solved, 0, axis)
+    w: Array | None = None if surface.weights is None else raised[..., 3]
+    points: Array = raised[..., :3] if w is None else raised[..., :3] / raised[..., 3:]
     changed = replace(surface, control_points=points, weights=w)
     return (
         replace(changed, knots_u=new, degree_u=degree) if axis == 0 else replace(changed, knots_v=new, degree_v=degree)
