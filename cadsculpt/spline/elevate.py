@@ -46,10 +46,10 @@ def _along(surface: BSplineSurface, axis: int, degree: int) -> BSplineSurface:
     basis = np.zeros((len(t), int(row.max()) + 1))
     np.add.at(basis.T, row, design_matrix(new, degree, t).T)
     solved: Array = np.linalg.lstsq(basis, values.reshape(len(t), -1), rcond=None)[0]
-    solved = solved.reshape(-1, *values.shape[1:])
+    rows: Array = solved.reshape(-1, *values.shape[1:])
     if not periodic and knots[0] == knots[old] and knots[-1] == knots[-old - 1]:
-        solved[0], solved[-1] = net[0], net[-1]
-    raised: Array = np.moveaxis(solved[row], 0, axis)
+        rows[0], rows[-1] = net[0], net[-1]
+    raised: Array = np.moveaxis(rows[row], 0, axis)
     w: Array | None = None if surface.weights is None else raised[..., 3]
     points: Array = raised[..., :3] if w is None else raised[..., :3] / raised[..., 3:]
     changed = replace(surface, control_points=points, weights=w)

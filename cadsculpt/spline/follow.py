@@ -176,11 +176,12 @@ def _off(net: BSplineSurface, side: Side, lead: Lead) -> Array:
     values = np.zeros((*net.shape, 3))
     for depth, row in enumerate(boundary_rows(net, side, lead)):
         values[_row(net, side, depth)] = row
-    away: Array = np.linalg.norm(displacement_along(net, values, lead.uv) - lead.displacement, axis=1) / lead.tolerance
+    apart = displacement_along(net, values, lead.uv) - lead.displacement
+    away = np.sqrt(np.einsum("nc,nc->n", apart, apart)) / lead.tolerance
     if lead.across is None or lead.direction is None or lead.slack is None:
         return away
-    turned: Array = np.linalg.norm(displacement_along(net, values, lead.uv, lead.direction) - lead.across, axis=1)
-    return np.maximum(away, turned / lead.slack)
+    turned = displacement_along(net, values, lead.uv, lead.direction) - lead.across
+    return np.maximum(away, np.sqrt(np.einsum("nc,nc->n", turned, turned)) / lead.slack)
 
 
 def _fitted(basis: Array, values: Array) -> Array:
