@@ -45,7 +45,7 @@ def _along(surface: BSplineSurface, axis: int, degree: int) -> BSplineSurface:
     row = np.arange(count) % (count - degree) if periodic else np.arange(count)
     basis = np.zeros((len(t), int(row.max()) + 1))
     np.add.at(basis.T, row, design_matrix(new, degree, t).T)
-    solved: Array = np.linalg.lstsq(basis, values.reshape(len(t), -1), rcond=None)[0]
+    solved = np.asarray(np.linalg.lstsq(basis, values.reshape(len(t), -1), rcond=None)[0], dtype=np.float64)
     rows: Array = solved.reshape(-1, *values.shape[1:])
     if not periodic and knots[0] == knots[old] and knots[-1] == knots[-old - 1]:
         rows[0], rows[-1] = net[0], net[-1]

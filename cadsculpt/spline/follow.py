@@ -185,7 +185,7 @@ def _off(net: BSplineSurface, side: Side, lead: Lead) -> Array:
 
 
 def _fitted(basis: Array, values: Array) -> Array:
-    result: Array = np.linalg.lstsq(basis, values, rcond=1e-12)[0]
+    result = np.asarray(np.linalg.lstsq(basis, values, rcond=1e-12)[0], dtype=np.float64)
     return result
 
 
