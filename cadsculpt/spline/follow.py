@@ -185,8 +185,7 @@ def _off(net: BSplineSurface, side: Side, lead: Lead) -> Array:
 
 
 def _fitted(basis: Array, values: Array) -> Array:
-    result = np.asarray(np.linalg.lstsq(basis, values, rcond=1e-12)[0], dtype=np.float64)
-    return result
+    return np.asarray(np.linalg.lstsq(basis, values, rcond=1e-12)[0], dtype=np.float64)
 
 
 def _direction(net: BSplineSurface, axis: int) -> tuple[Array, int]:
