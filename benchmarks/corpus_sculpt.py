@@ -84,7 +84,7 @@ def _sculpted(made: NewScene, folder: Path) -> dict[str, Any]:
     if not result.converged:
         return {"refused": f"the run failed: {result.failure}"}
     ((path, part),) = loaded.parts.items()
-    surfaces = loaded.sculpted(result.session)[path]
+    surfaces = loaded.sculpted(result.exported)[path]
     (number,) = surfaces
     before = Before.of(part, number)
     part.sculpt(surfaces)

@@ -29,13 +29,13 @@ def _reading(rows: list[dict[str, Any]]) -> dict[str, Any]:
     judged = {name: row for name, row in read.items() if "area_agrees" in row}
     off = {
         name: {
-            "difference": row["area_difference"],
-            "beside": row["area_source"],
+            "differences": row["area_differences"],
             "reason": TRAPS.get(name) or next((w for w in row["warnings"] if "area" in w), "") or "not known",
         }
         for name, row in judged.items()
         if not row["area_agrees"]
     }
+    index = {name: row for name, row in judged.items() if row["area_agrees_with_index"] is False and row["area_agrees"]}
     paths = [row["toolpath_expected_match"] for row in read.values() if "toolpath_expected_match" in row]
     return {
         "read_ok": sum(bool(row.get("read_ok")) for row in read.values()),
@@ -45,6 +45,9 @@ def _reading(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "area_agrees": sum(row["area_agrees"] for row in judged.values()),
         "area_judged": len(judged),
         "area_exceptions": off,
+        "area_index_is_coarse": {
+            name: min((d, source) for source, d in row["area_differences"].items())[1] for name, row in index.items()
+        },
         "toolpath_expected_match": bool(paths) and all(paths),
         "toolpath_programs": len(paths),
     }

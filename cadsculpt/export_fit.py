@@ -19,7 +19,8 @@ from .model import Model
 from .patch import Patch
 from .session import Session
 from .spline.adapt import Goal, ToleranceFit, fit_to_tolerance, judged
-from .spline.follow import Following, Lead, edge_knots
+from .spline.between import denser
+from .spline.follow import Following, Lead, edge_knots, follows
 from .spline.net_fit import Given, NodeField, fit_net
 from .spline.refine import missing_knots
 from .spline.refit import RefitError
@@ -33,6 +34,9 @@ Knots = tuple[Array, Array]
 
 MUCH = 1.1
 """A fit that closes its seams better is preferred to one that is nearer to the nodes by no more than this."""
+
+FINER = 2
+"""Where a face cannot follow another along their edge as nearly as it must, its nodes are made twice as many, so often."""
 
 STRAYING = 2.0
 """A fit that strays between the nodes by more than this many tolerances is not taken if there is another."""
@@ -211,7 +215,9 @@ def _goal(model: Model) -> Goal:
     return Goal(refit.tolerance, model.refit_threshold, refit.max_control_points, refit.refine)
 
 
-def _fitted(session: Session, model: Model, index: int, field: NodeField, leads: tuple[Lead, ...]) -> ToleranceFit:
+def _fitted(
+    session: Session, model: Model, index: int, field: NodeField, leads: tuple[Lead, ...], finer: int = FINER
+) -> ToleranceFit:
     goal, patch = _goal(model), model.patches[index]
     read, following = patch.source.surface, Following(patch.hold, leads)
     working = missing_knots(read, patch.surface)
@@ -225,6 +231,9 @@ def _fitted(session: Session, model: Model, index: int, field: NodeField, leads:
     for kept, start in tries:
         with suppress(GeometryError):
             fits.append(fit_to_tolerance(read, field, goal, constraint=following.given, kept=kept, start=start))
+            if goal.refine and finer and not _closes(fits[-1], leads):
+                # an edge may need knots closer than the nodes stand: their own interpolation says what is between
+                return _fitted(session, model, index, denser(field, read.domain), leads, finer=finer - 1)
             near = fits[-1].outcome == "within" and fits[-1].between <= STRAYING * goal.tolerance
             if near or fits[-1].outcome == "limit":
                 return fits[-1]
@@ -234,6 +243,10 @@ def _fitted(session: Session, model: Model, index: int, field: NodeField, leads:
         fits.append(judged(fit_net(patch.surface, field, np.inf, lambda net: every), working, field, goal))
     worst = [max(fit.error.maximum, fit.between) for fit in fits]
     return fits[next(k for k, off in enumerate(worst) if off <= MUCH * min(worst))]
+
+
+def _closes(fit: ToleranceFit, leads: tuple[Lead, ...]) -> bool:
+    return bool((fit.fit.lacking() <= 1.0).all()) and follows(fit.fit.surface, leads)
 
 
 def _warnings(face: ExportedFace, tolerance: float, unit: str) -> list[str]:

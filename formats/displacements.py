@@ -109,8 +109,8 @@ def read(path: str | os.PathLike[str], units: str = "mm", *, reach: float | None
         raise SceneError(faults[:LISTED_FAULTS] + ([f"{path}: and {more} faults more"] if more > 0 else []))
     if not rows:
         raise InputError("it holds no points", where=str(path), mend="one line of X,Y,Z,DX,DY,DZ a point")
-    values = np.array(rows, dtype=np.float64) * conversion(units, "mm")
-    return field_of(values[:, :3], values[:, 3:], where=str(path), reach=reach)
+    numbers = np.array(rows, dtype=np.float64) * conversion(units, "mm")
+    return field_of(numbers[:, :3], numbers[:, 3:], where=str(path), reach=reach)
 
 
 def field_of(points: Array, moves: Array, *, where: str = "", reach: float | None = None) -> DisplacementField:

@@ -142,14 +142,12 @@ def _solids(part: Part) -> dict[int, int]:
 
 
 def _sculptable(part: Part, face: Face) -> BSplineSurface:
-    """The surface (mm) that is sculpted: the face's own. Planes and rulings, which are of degree 1 and become splines of the
-    CAD kernel anyway, are raised to SMOOTH_DEGREE first: a dent in them is smooth, with far fewer control points."""
-    surface = face.surface
+    """The surface (mm) that is sculpted: the face's own. Planes, cylinders and their like, of degree 1 and 2, become splines of
+    the CAD kernel anyway: they are raised to SMOOTH_DEGREE first, so that a dent in them is smooth, with far fewer control
+    points."""
     if part.format not in ("step", "iges") or face.kind in SPLINES:
-        return surface
-    raised = [SMOOTH_DEGREE if degree == 1 else degree for degree in (surface.degree_u, surface.degree_v)]
-    periodic = (surface.periodic_u and surface.degree_u == 1) or (surface.periodic_v and surface.degree_v == 1)
-    return surface if periodic else elevated(surface, *raised)
+        return face.surface
+    return elevated(face.surface, SMOOTH_DEGREE, SMOOTH_DEGREE)
 
 
 def _source_face(part: Part, face: Face, units: str) -> SourceFace:

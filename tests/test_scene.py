@@ -247,7 +247,7 @@ TOOLS: list[dict[str, Any]] = [
     {"shape": "half_space"},
     {"shape": "formula", "expression": "x*x + y*y + z*z - 9", "box": [[-3, -3, -3], [3, 3, 3]]},
     {"shape": "union", "part": [{"shape": "sphere", "radius": 1}, {"shape": "cone", "radius": 1, "height": 2}]},
-    {"shape": "surface", "file": "finger.step", "faces": [1, "tip"]},
+    {"shape": "surface", "file": "finger.step", "faces": [1, "tip"], "file_units": "in"},
     {"shape": "surface", "file": "finger.step", "material": "rubber", "thickness": 3, "nodes": 1, "hold": "base"},
     {"shape": "mesh", "file": "bone.stl", "file_units": "inch"},
 ]

@@ -6,10 +6,12 @@ either may be wrong: the displacement is known to within that difference.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from .net_fit import NetFit, NodeField
+from .net_fit import NetFit, NodeField, Span
 
 Array = NDArray[np.float64]
 
@@ -29,6 +31,20 @@ def between_nodes(fit: NetFit, field: NodeField) -> float:
     linear = np.einsum("am,mnc,bn->abc", linear_u, field.displacement, linear_v, optimize=True)
     away = np.linalg.norm(fit.at(u, v) - cubic, axis=2) - np.linalg.norm(cubic - linear, axis=2)
     return float(np.maximum(away[whole], 0.0).max(initial=0.0))
+
+
+def denser(field: NodeField, domain: tuple[Span, Span]) -> NodeField:
+    """The field with a node more in the middle of each cell, on the bicubic interpolation; it counts for nothing."""
+    moved, counted, grid = field.displacement, field.counted, [field.u, field.v]
+    for axis in (0, 1):
+        places, _, cubic = _middles(grid[axis], domain[axis], closed=field.closed[axis])
+        moved = np.moveaxis(np.tensordot(cubic, np.moveaxis(moved, axis, 0), axes=1), 0, axis)
+        own = np.isin(places, grid[axis])
+        spread = np.zeros((len(places), *np.moveaxis(counted, axis, 0).shape[1:]), dtype=np.bool_)
+        spread[own] = np.moveaxis(counted, axis, 0)
+        counted = np.moveaxis(spread, 0, axis)
+        grid[axis] = places
+    return replace(field, u=grid[0], v=grid[1], displacement=np.ascontiguousarray(moved), counted=counted)
 
 
 def _middles(t: Array, domain: tuple[float, float], *, closed: bool) -> tuple[Array, Array, Array]:

@@ -176,16 +176,16 @@ def _off(net: BSplineSurface, side: Side, lead: Lead) -> Array:
     values = np.zeros((*net.shape, 3))
     for depth, row in enumerate(boundary_rows(net, side, lead)):
         values[_row(net, side, depth)] = row
-    away: Array = np.linalg.norm(displacement_along(net, values, lead.uv) - lead.displacement, axis=1) / lead.tolerance
-    if lead.across is not None and lead.direction is not None and lead.slack is not None:
-        turned = np.linalg.norm(displacement_along(net, values, lead.uv, lead.direction) - lead.across, axis=1)
-        away = np.maximum(away, turned / lead.slack)
-    return away
+    apart = displacement_along(net, values, lead.uv) - lead.displacement
+    away = np.sqrt(np.einsum("nc,nc->n", apart, apart)) / lead.tolerance
+    if lead.across is None or lead.direction is None or lead.slack is None:
+        return away
+    turned = displacement_along(net, values, lead.uv, lead.direction) - lead.across
+    return np.maximum(away, np.sqrt(np.einsum("nc,nc->n", turned, turned)) / lead.slack)
 
 
 def _fitted(basis: Array, values: Array) -> Array:
-    result: Array = np.linalg.lstsq(basis, values, rcond=1e-12)[0]
-    return result
+    return np.asarray(np.linalg.lstsq(basis, values, rcond=1e-12)[0], dtype=np.float64)
 
 
 def _direction(net: BSplineSurface, axis: int) -> tuple[Array, int]:
@@ -227,6 +227,13 @@ def edge_knots(
                 break
             found[along] = more
     return found[0], found[1]
+
+
+def follows(net: BSplineSurface, leads: Sequence[Lead]) -> bool:
+    """Whether the net can do along its sides what its leads ask."""
+    return all(
+        bool((_off(net, side, lead) <= 1.0).all()) for lead in leads if (side := side_of(net, lead.uv)) is not None
+    )
 
 
 def _joined(surface: BSplineSurface, axis: int, known: Array, wanted: Array, nodes: Array | None) -> Array:

@@ -53,7 +53,7 @@ class Plate(Face):
 class Plates:
     """As much of a part as `inspect` looks at."""
 
-    format, units = "step", "in"
+    format, units, instances = "step", "in", ()
 
     def __init__(self, faces: list[Plate]) -> None:
         self.faces, self.warnings = Faces(faces, "plates.step"), ["the file says so"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cadsculpt.errors import GeometryError
 from cadsculpt.spline.elevate import elevated
 from cadsculpt.spline.surface import BSplineSurface
 
@@ -39,11 +38,26 @@ def test_a_plane_becomes_its_net_at_thirds():
     np.testing.assert_array_equal(raised.control_points[[0, -1]][:, [0, -1]], net)
 
 
-def test_a_periodic_direction_is_refused():
-    knots = np.arange(-1, 6.0)
-    net = np.zeros((5, 2, 3))
-    net[:, 1, 2] = 1.0
-    surface = BSplineSurface(net, knots, np.array([0.0, 0, 1, 1]), 1, 1, periodic_u=True)
-    with pytest.raises(GeometryError, match="periodic"):
-        elevated(surface, 2, 1)
-    assert elevated(surface, 1, 2).degree_v == 2
+def test_a_circle_stays_one():
+    """Rational arcs, unrolled as periodic nets are, with double knots: cubic with triple ones."""
+    corners = np.array(
+        [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1)], dtype=float
+    )
+    weight = np.where(np.arange(10) % 2, np.sqrt(0.5), 1.0)
+    net = np.zeros((10, 2, 3))
+    net[..., :2] = corners[:, None]
+    net[:, 1, 2] = 4.0
+    knots = np.array([-1.0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5])
+    tube = BSplineSurface(
+        net, knots, np.array([0.0, 0, 1, 1]), 2, 1, np.repeat(weight[:, None], 2, axis=1), periodic_u=True
+    )
+    raised = elevated(tube, 3, 3)
+    raised.validate()
+    assert raised.domain == tube.domain
+    assert raised.periodic_u
+    np.testing.assert_array_equal(raised.control_points[-3:], raised.control_points[:3])
+    u, v = np.linspace(0, 4, 101)[:, None], np.linspace(0, 1, 11)
+    np.testing.assert_allclose(raised.evaluate(u, v), tube.evaluate(u, v), atol=1e-13)
+    np.testing.assert_allclose(np.hypot(*raised.evaluate(u, v)[..., :2].transpose(2, 0, 1)), 1.0, atol=1e-13)
+    plain = BSplineSurface(net[:5], np.arange(-1, 6.0), np.array([0.0, 0, 1, 1]), 1, 1, periodic_u=True)
+    assert elevated(plain, 1, 2).degree_v == 2
