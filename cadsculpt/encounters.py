@@ -28,7 +28,6 @@ class Party:
     one solid never meet. boxes (k, 2, 3) : in the world, they hold it for the whole run.
     """
 
-    name: str
     model: bool
     deformable: bool
     solids: frozenset[str]

@@ -158,7 +158,7 @@ def build_model(
     ]
     pairs = Pairs.between(
         [
-            Party(making.name, k < models, making.substance is not None, making.solids, grown(held, making.bulge))
+            Party(k < models, making.substance is not None, making.solids, grown(held, making.bulge))
             for k, (making, held) in enumerate(zip(makings, boxes, strict=True))
         ]
     )
