@@ -170,7 +170,7 @@ LEFT_OUT: Any = None
 
 
 class SolverSpec(Spec):
-    """How the simulation is computed. Lengths left out follow from the thinnest model."""
+    """How the simulation is computed. Lengths left out follow from the thinnest material."""
 
     integrator: Literal["explicit", "implicit"] = Field(default="explicit", description="how time is integrated")
     quasi_static: Flag = Field(
