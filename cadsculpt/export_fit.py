@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from .session import Session
 from .spline.adapt import Goal, ToleranceFit, fit_to_tolerance, judged
 from .spline.between import denser
 from .spline.follow import Following, Lead, edge_knots, follows
-from .spline.net_fit import Given, NodeField, fit_net
+from .spline.net_fit import Given, NodeField, fit_net, still_sides
 from .spline.refine import missing_knots
 from .spline.refit import RefitError
 from .spline.seam import RELATIVE, Seam, angle, gap
@@ -219,7 +219,9 @@ def _fitted(
     session: Session, model: Model, index: int, field: NodeField, leads: tuple[Lead, ...], finer: int = FINER
 ) -> ToleranceFit:
     goal, patch = _goal(model), model.patches[index]
-    read, following = patch.source.surface, Following(patch.hold, leads)
+    read = patch.source.surface
+    still = still_sides(read, field, goal.threshold)
+    following = Following(replace(patch.hold, curves=(*patch.hold.curves, *still)), leads)
     working = missing_knots(read, patch.surface)
     tries: list[tuple[Knots | None, Knots | None]] = [(None, None)]
     if goal.refine:
@@ -234,6 +236,8 @@ def _fitted(
             if goal.refine and finer and not _closes(fits[-1], leads):
                 # an edge may need knots closer than the nodes stand: their own interpolation says what is between
                 return _fitted(session, model, index, denser(field, read.domain), leads, finer=finer - 1)
+            if goal.refine and finer and fits[-1].outcome == "within" and fits[-1].between > goal.tolerance:
+                return _calmed(session, model, index, field, leads, fits[-1])
             near = fits[-1].outcome == "within" and fits[-1].between <= STRAYING * goal.tolerance
             if near or fits[-1].outcome == "limit":
                 return fits[-1]
@@ -243,6 +247,17 @@ def _fitted(
         fits.append(judged(fit_net(patch.surface, field, np.inf, lambda net: every), working, field, goal))
     worst = [max(fit.error.maximum, fit.between) for fit in fits]
     return fits[next(k for k, off in enumerate(worst) if off <= MUCH * min(worst))]
+
+
+def _calmed(
+    session: Session, model: Model, index: int, field: NodeField, leads: tuple[Lead, ...], fit: ToleranceFit
+) -> ToleranceFit:
+    """A fit that strays between its nodes, or the one to twice as many, interpolated, if that strays less."""
+    domain = model.patches[index].source.surface.domain
+    other = _fitted(session, model, index, denser(field, domain), leads, finer=0)
+    calmed = judged(other.fit.against(field), other.knots, field, _goal(model), other.outcome)
+    worst = [max(each.error.maximum, each.between) for each in (calmed, fit)]
+    return calmed if worst[0] < worst[1] else fit
 
 
 def _closes(fit: ToleranceFit, leads: tuple[Lead, ...]) -> bool:

@@ -88,6 +88,21 @@ class NodeField:
         return np.einsum("mnc,mnc->mn", self.displacement, self.displacement) > threshold**2
 
 
+def still_sides(surface: BSplineSurface, field: NodeField, threshold: float) -> list[Array]:
+    """The sides of the domain, as chains uv (2, 2), on which there are nodes and none moved by more than the threshold."""
+    moved, corners = field.moved(threshold), np.array(surface.domain)
+    found = []
+    for axis in (0, 1):
+        t = (field.u, field.v)[axis]
+        for end, index in ((0, 0), (1, -1)):
+            if field.closed[axis] or t[index] != corners[axis, end] or moved.take(index, axis).any():
+                continue
+            side = corners.T.copy()
+            side[:, axis] = corners[axis, end]
+            found.append(side)
+    return found
+
+
 def _beyond(surface: BSplineSurface, axis: int, t: Array) -> tuple[Array, Array]:
     """Parameters before and after those of the nodes: enough in each of the next knot spans to say what stays."""
     degree = (surface.degree_u, surface.degree_v)[axis]

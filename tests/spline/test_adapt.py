@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from cadsculpt.errors import GeometryError
 from cadsculpt.spline.adapt import Goal, ToleranceFit, fit_to_tolerance
-from cadsculpt.spline.between import between_nodes
+from cadsculpt.spline.between import between_nodes, denser
 from cadsculpt.spline.hold import Hold
 from cadsculpt.spline.net_fit import Given, NodeField, fit_net
 from cadsculpt.spline.refine import insert_knots
@@ -305,6 +305,31 @@ def test_between_the_nodes_only_what_is_known_is_held_against_the_surface():
     swing[10, 10, 2] = 0.5
     away = fit_net(surface, still, 0.0, lambda net: Given(np.ones(net.shape, dtype=bool), swing))
     assert between_nodes(away, still) > 0.05
+
+
+def test_nodes_between_nodes_are_on_the_interpolation_and_count_for_nothing():
+    surface = surface_of(3, 8)
+    u = np.unique(np.concatenate([NODES[::3], [0.11, 0.43]]))
+    bowl = np.zeros((len(u), len(u), 3))
+    bowl[..., 1] = (u[:, None] ** 2 + 0.2) * (u - u**2)
+    field = NodeField.of(surface, u, u, bowl, counted=np.broadcast_to(u < 0.5, (len(u), len(u))))
+    more = denser(field, surface.domain)
+    assert len(more.u) == 2 * len(field.u) - 1
+    np.testing.assert_allclose(
+        more.displacement[..., 1], (more.u[:, None] ** 2 + 0.2) * (more.v - more.v**2), atol=1e-14
+    )
+    np.testing.assert_array_equal(more.u[::2], field.u)
+    np.testing.assert_array_equal(more.displacement[::2, ::2], field.displacement)
+    np.testing.assert_array_equal(more.counted[::2, ::2], field.counted)
+    assert more.counted.sum() == field.counted.sum()
+    # swings that the nodes alone allow are damped by those between
+    rough = np.random.default_rng(5).normal(scale=0.02, size=(25, 25, 3))
+    coarse = np.linspace(0, 1, 25)
+    knots = np.linspace(0.05, 0.95, 15)
+    net = insert_knots(surface, knots, knots)
+    field = NodeField.of(net, coarse, coarse, rough)
+    swing, damped = (between_nodes(fit_net(net, f, 0.0, None), field) for f in (field, denser(field, net.domain)))
+    assert damped < swing
 
 
 def test_displacements_that_are_not_numbers_are_refused():
