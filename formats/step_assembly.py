@@ -82,6 +82,20 @@ class Assembly:
         return {item: product for product in self.paths for item in shape_items(self.records, product)}
 
 
+def name_single_faces(records: StepRecords) -> None:
+    """Give the only face of a product the product's name where it has none: that of a loose face would get lost."""
+    assembly = Assembly(records)
+    own: dict[int, list[int]] = {}
+    for item, product in assembly.of_item.items():
+        if records.type(item) == "ADVANCED_FACE":
+            own.setdefault(product, []).append(item)
+    for product, faces in own.items():
+        arguments = records.arguments(faces[0])
+        if len(faces) == 1 and arguments[0] == b"''":
+            arguments[0] = b"'%s'" % assembly.name(product).encode("latin-1")
+            records.change(faces[0], b"ADVANCED_FACE(%s)" % b",".join(arguments))
+
+
 @dataclass(frozen=True, slots=True)
 class Placement:
     """A product with a shape of its own, in one place: its name, followed by a number where it has several places."""

@@ -19,7 +19,7 @@ from OCP.GProp import GProp_GProps
 from OCP.TopLoc import TopLoc_Location
 
 from cadsculpt.errors import InputError
-from cadsculpt.formats import step
+from cadsculpt.formats import registry, step
 from cadsculpt.formats.occt.document import set_name, shape_tool
 from cadsculpt.formats.occt.moments import moments_of
 from cadsculpt.formats.occt.part import OcctPart, document_of_shapes
@@ -329,6 +329,13 @@ def test_a_part_without_instances_says_so(tmp_path):
     assert part.instances == ()
     with pytest.raises(InputError, match="no instance named"):
         part.separated(["a"])
+
+
+def test_loose_faces_keep_their_names_on_the_way_from_iges(tmp_path):
+    named = [(name, shape_of_surface(sheet())) for name in ("roof", "floor")]
+    document_of_shapes(named, faces=named, format="iges").write(tmp_path / "a.igs", "iges")
+    registry.write_part(registry.read(tmp_path / "a.igs"), tmp_path / "b.step", "step")
+    assert [face.name for face in step.read(tmp_path / "b.step").faces] == ["roof", "floor"]
 
 
 # ------------------------------------------------------------------------ real files
