@@ -33,11 +33,11 @@ from .occt.moments import moments_of
 from .occt.part import OcctPart
 from .occt.probe import ensure_survives
 from .occt.quiet import quiet
-from .step_assembly import name_single_faces
 from .step_entities import StepEntities
 from .step_properties import update
 from .step_records import StepRecords
 from .step_splice import CannotSpliceError, splice
+from .step_structure import name_single_faces
 from .step_text import REAL_FORMAT, TIME_STAMP, StepFacts, facts_of, settled
 
 _KERNEL_UNITS = {
