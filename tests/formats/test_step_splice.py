@@ -20,6 +20,7 @@ from OCP.TopLoc import TopLoc_Location
 
 from cadsculpt.errors import InputError
 from cadsculpt.formats import registry, step
+from cadsculpt.formats.instances import chosen_faces, named_instances
 from cadsculpt.formats.occt.document import set_name, shape_tool
 from cadsculpt.formats.occt.moments import moments_of
 from cadsculpt.formats.occt.part import OcctPart, document_of_shapes
@@ -29,6 +30,7 @@ from cadsculpt.formats.step_properties import properties
 from cadsculpt.formats.step_records import StepRecords, references, renumbered, split_arguments
 from cadsculpt.formats.step_structure import Assembly
 from cadsculpt.formats.step_units import millimetres_at, tolerance
+from cadsculpt.scene import ModelSpec, Scene
 from cadsculpt.spline.refine import insert_knots
 from cadsculpt.spline.surface import BSplineSurface
 
@@ -453,3 +455,32 @@ def test_properties_of_the_assemblies_around_a_part_follow(corpus, tmp_path):
     shift = (np.array(centre.value) - before["centroid", centre.item].value) * 25.4
     a, b = truth.CentreOfMass(), was.CentreOfMass()
     np.testing.assert_allclose(shift, [a.X() - b.X(), a.Y() - b.Y(), a.Z() - b.Z()], rtol=0.02, atol=1e-6)
+
+
+def spec(**keys: object) -> ModelSpec:
+    return ModelSpec.model_validate(
+        {"name": "m", "file": "a.step", "thickness": 1.0, "nodes": 1.0, "material": "clay", **keys}
+    )
+
+
+def test_a_scene_names_faces_of_instances(tmp_path):
+    part = rack(tmp_path / "a.step")
+    everything = [face.number for face in part.faces]
+    pin = next(i for i in part.instances if i.name == "pin_3")
+
+    def numbers(**keys: object) -> list[int]:
+        return [face.number for face in chosen_faces(part, spec(**keys))]
+
+    assert numbers() == everything
+    assert numbers(faces=["pin_3/face2"]) == [pin.faces[1]]
+    assert numbers(instances=["pin_3"]) == list(pin.faces)
+    assert numbers(instances=["pin_3", "plate_1"], faces=["face1"]) == sorted(
+        i.faces[0] for i in part.instances if i.name in ("pin_3", "plate_1")
+    )
+    with pytest.raises(InputError, match="no face 'lid' in pin_3"):
+        numbers(instances=["pin_3"], faces=["lid"])
+    scene = Scene.model_validate({
+        "units": "mm", "tool": [{"name": "t", "shape": "point"}],
+        "model": [spec(instances=["pin_3", "pin_1"]).model_dump(), spec(name="n", instances=["pin_1"]).model_dump()],
+    })  # fmt: skip
+    assert named_instances(scene, tmp_path) == {(tmp_path / "a.step").resolve(): ["pin_3", "pin_1"]}
