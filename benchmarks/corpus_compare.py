@@ -194,17 +194,20 @@ def _off(
     """How far places along the trim curves of `a` are from those of `b`: Gauss-Newton along the nearest curve."""
     from scipy.spatial import cKDTree
 
-    samples = [_along(b, curve, parameters, 129) for curve in other]
-    tree = cKDTree(np.concatenate(samples))
+    at = [
+        np.union1d(np.linspace(*trim_domain(curve), 129), np.clip(curve.knots, *trim_domain(curve))) for curve in other
+    ]
+    samples = [_placed(b, evaluate_trim(curve, t), parameters) for curve, t in zip(other, at, strict=True)]
+    owner = np.repeat(np.arange(len(other)), [len(t) for t in at])
+    every, tree = np.concatenate(at), cKDTree(np.concatenate(samples))
     worst = 0.0
     for curve in mine:
         points = _along(a, curve, parameters, 25)
         distance, index = tree.query(points)
-        which, place = np.divmod(index, 129)
-        for k in np.unique(which):
-            rows = which == k
+        for k in np.unique(owner[index]):
+            rows = owner[index] == k
             low, high = trim_domain(other[k])
-            t = low + (high - low) * place[rows] / 128.0
+            t = every[index[rows]]
             h, best = 1e-6 * (high - low), distance[rows]
             for _ in range(10):
                 here = _placed(b, evaluate_trim(other[k], t), parameters)

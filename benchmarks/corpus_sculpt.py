@@ -117,14 +117,17 @@ def _sculpted(made: NewScene, folder: Path) -> dict[str, Any]:
 
 
 def _refit(loaded: Loaded, result: RunResult) -> dict[str, Any]:
-    """The refit's error beside its tolerance; beyond it, what the run's warnings say."""
+    """The refit's error beside its tolerance; beyond it, what the run's warnings say kept it from it."""
     error, tolerance = result.summary.refit_max_error, float(loaded.scene.refit.tolerance or 0.0)
+    (face,) = result.exported.faces
     told = next((line for line in result.warnings if "refit" in line), "")
     return {
         "refit_error": error,
         "refit_tolerance": tolerance,
-        "refit_ok": error <= tolerance or bool(told),
         "refit_within": error <= tolerance,
+        "refit_outcome": face.outcome,
+        "refit_ok": error <= tolerance or (face.outcome != "within" and bool(told)),
+        "net": [list(face.read_shape), list(face.surface.shape)],
         **({"refit_refused": told} if told else {}),
     }
 

@@ -117,7 +117,11 @@ def _sculpting(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "seam_exceptions": {
             name: row["seam_gap"] for name, row in done.items() if row["seam_gap"] > row["seam_allowed"]
         },
-        "refit_within_tolerance": sum(row["refit_ok"] for row in done.values()) / len(done) if done else None,
+        "refit_within_tolerance": sum(row["refit_within"] for row in done.values()) / len(done) if done else None,
+        "refit_within_or_refused": sum(row["refit_ok"] for row in done.values()) / len(done) if done else None,
+        "refit_refused_by_name": {
+            name: row["refit_refused"] for name, row in done.items() if not row["refit_within"] and row["refit_ok"]
+        },
         "refit_exceptions": {
             name: f"{row['refit_error']:.3g} of {row['refit_tolerance']:.3g}: {row.get('refit_refused') or 'not refused'}"
             for name, row in done.items()

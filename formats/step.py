@@ -35,7 +35,9 @@ from .occt.probe import ensure_survives
 from .occt.quiet import quiet
 from .step_entities import StepEntities
 from .step_properties import update
+from .step_records import StepRecords
 from .step_splice import CannotSpliceError, splice
+from .step_structure import name_single_faces
 from .step_text import REAL_FORMAT, TIME_STAMP, StepFacts, facts_of, settled
 
 _KERNEL_UNITS = {
@@ -257,4 +259,9 @@ def text_of(part: OcctPart, name: str) -> bytes:
     stream = io.BytesIO()
     if not sender.Print(stream):
         raise InputError("the CAD kernel cannot write the part as STEP", where=str(part.path))
-    return settled(stream.getvalue())
+    data = settled(stream.getvalue())
+    if part.format == "step":
+        return data
+    records = StepRecords.of(data)
+    name_single_faces(records)
+    return records.text()

@@ -1,4 +1,4 @@
-"""The assembly in a STEP file's records: which product is placed where, and a placement given a product of its own.
+"""A placement in a STEP file's records given a product of its own.
 
 A part that is placed twice stands in the file once. To sculpt it in one place, that placement gets a copy of the product:
 its shape, names, colours, layers and properties; where the product's own assembly is placed several times too, that gets one
@@ -8,14 +8,11 @@ before. Only the records of the copies are new, and those that say which product
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from functools import cached_property
 
-from .step_properties import shape_items
 from .step_records import StepRecords, renumbered
+from .step_structure import PLACED, Assembly, Path
 from .step_units import REPRESENTATION_CONTEXT
 
-_PLACED = "NEXT_ASSEMBLY_USAGE_OCCURRENCE"
 _STYLED = ("STYLED_ITEM", "OVER_RIDING_STYLED_ITEM")
 _LISTS = re.compile(
     r"CC_DESIGN_|APPLIED_.*_ASSIGNMENT|PRODUCT_RELATED_PRODUCT_CATEGORY|PRESENTATION_LAYER_ASSIGNMENT"
@@ -23,96 +20,9 @@ _LISTS = re.compile(
 )
 """Records that list what they hold for: a copy is listed behind what it is a copy of."""
 
-Path = tuple[int, ...]
-"""The occurrences that lead from a root of the assembly to a product."""
-
 
 class CannotSeparateError(Exception):
     """Why a placement cannot get a product of its own."""
-
-
-@dataclass(eq=False)
-class Assembly:
-    """The product structure of a file: product definitions, by NEXT_ASSEMBLY_USAGE_OCCURRENCE placed in one another."""
-
-    records: StepRecords
-
-    @cached_property
-    def occurrences(self) -> dict[int, tuple[int, int]]:
-        """Occurrence: (the product definition that it is in, the one that it places)."""
-        found = {}
-        for number in self.records.of_type(_PLACED):
-            ends = [r for r in self.records.references(number) if self.records.type(r).startswith("PRODUCT_DEFINITION")]
-            if len(ends) >= 2:
-                found[number] = ends[0], ends[1]
-        return found
-
-    @cached_property
-    def paths(self) -> dict[int, list[Path]]:
-        """All ways to every product definition, in the order of the assembly."""
-        children: dict[int, list[int]] = {}
-        for number, (parent, _) in self.occurrences.items():
-            children.setdefault(parent, []).append(number)
-        found: dict[int, list[Path]] = {}
-
-        def walk(product: int, path: Path) -> None:
-            found.setdefault(product, []).append(path)
-            for number in children.get(product, ()):
-                if number not in path:
-                    walk(self.occurrences[number][1], (*path, number))
-
-        placed = {child for _, child in self.occurrences.values()}
-        for product in self.records.of_type("PRODUCT_DEFINITION", "PRODUCT_DEFINITION_WITH_ASSOCIATED_DOCUMENTS"):
-            if product not in placed:
-                walk(product, ())
-        return found
-
-    def name(self, product: int) -> str:
-        """The name of a product definition's product, its id where it has none."""
-        for formation in self.records.references(product):
-            for below in self.records.references(formation):
-                if self.records.type(below) == "PRODUCT":
-                    texts = [a.strip(b"'").decode("latin-1") for a in self.records.arguments(below)[:2]]
-                    return next((text for text in reversed(texts) if text.strip() and text != "$"), "part")
-        return "part"
-
-    @cached_property
-    def of_item(self) -> dict[int, int]:
-        """The product definition that each geometric record belongs to."""
-        return {item: product for product in self.paths for item in shape_items(self.records, product)}
-
-
-@dataclass(frozen=True, slots=True)
-class Placement:
-    """A product with a shape of its own, in one place: its name, followed by a number where it has several places."""
-
-    name: str
-    product: int
-    path: Path
-
-
-def placements(assembly: Assembly, with_shape: set[int]) -> list[Placement]:
-    """Where the products with a shape are placed, those of one name counted in the order of the assembly."""
-    every = sorted(
-        ((path, product) for product, paths in assembly.paths.items() if product in with_shape for path in paths),
-        key=lambda item: _order(assembly, item[0]),
-    )
-    names = [assembly.name(product) for _, product in every]
-    seen: dict[str, int] = {}
-    found = []
-    for (path, product), name in zip(every, names, strict=True):
-        seen[name] = seen.get(name, 0) + 1
-        found.append(Placement(f"{name}_{seen[name]}" if names.count(name) > 1 else name, product, path))
-    return found
-
-
-def _order(assembly: Assembly, path: Path) -> tuple[int, ...]:
-    """Where its occurrences stand in the file: paths in this order are those of a walk through the assembly."""
-    places = {number: place for place, number in enumerate(assembly.occurrences)}
-    return tuple(places[number] for number in path)
-
-
-# ---------------------------------------------------------------------- separating
 
 
 def separate(records: StepRecords, path: Path) -> StepRecords:
@@ -141,7 +51,7 @@ def _copy(records: StepRecords, product: int) -> dict[int, int]:
         body = renumbered(records.body(number), numbers)
         if records.type(number) == "PRODUCT":
             body = re.sub(rb"'((?:[^']|'')*)'", rb"'\1 sculpted'", body, count=1)  # its id must be its own
-        if records.type(number) == _PLACED:
+        if records.type(number) == PLACED:
             body = re.sub(rb"'((?:[^']|'')*)'", rb"'\1 sculpted'", body, count=1)
         records.add(body)
     _list_copies(records, numbers)
@@ -159,7 +69,7 @@ def _owned(records: StepRecords, product: int) -> set[int]:
         if records.type(formation).startswith("PRODUCT_DEFINITION_FORMATION"):
             own.add(formation)
             own |= {n for n in records.references(formation) if records.type(n) == "PRODUCT"}
-    placements = {n for n in records.of_type(_PLACED) if product in records.references(n)[:1]}
+    placements = {n for n in records.of_type(PLACED) if product in records.references(n)[:1]}
     own |= placements
     shapes = {
         n for p in (product, *placements) for n in records.users(p) if records.type(n) == "PRODUCT_DEFINITION_SHAPE"

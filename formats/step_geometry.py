@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from .step_records import StepRecords, references
 from .step_text import step_real
+from .step_units import coordinates
 
 Array = NDArray[np.float64]
 
@@ -36,13 +37,6 @@ class PointPool:
             if distance <= SAME * max(1e-300, float(np.abs(point).max())) * 3.0:
                 return self._numbers[int(index)]
         return self._records.add(b"CARTESIAN_POINT('',(%s))" % _reals(point / self._scale))
-
-
-def coordinates(records: StepRecords, point: int) -> list[float]:
-    """The coordinates of a CARTESIAN_POINT, in the file's unit."""
-    arguments = records.arguments(point)
-    values = [float(text) for text in arguments[1].strip(b"() \r\n\t").split(b",")]
-    return (values + [0.0, 0.0, 0.0])[:3]
 
 
 def surface_body(geom: Geom_BSplineSurface, points: PointPool, name: bytes, flags: tuple[bytes, bytes]) -> bytes:

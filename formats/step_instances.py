@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from .part import Instance
-from .step_assembly import Assembly, CannotSeparateError, Placement, placements, separate
+from .step_assembly import CannotSeparateError, separate
 from .step_entities import StepEntities
 from .step_records import StepRecords
+from .step_structure import Assembly, Placement, placements
 
 if TYPE_CHECKING:
     from .occt.part import OcctPart

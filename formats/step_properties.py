@@ -10,47 +10,78 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .occt.moments import Moments
 from .step_records import StepRecords
+from .step_structure import Assembly, shape_items
 from .step_text import step_real
 from .step_units import REPRESENTATION_CONTEXT, measure, millimetres, millimetres_of_context
+
+Array = NDArray[np.float64]
 
 _FACES = ("ADVANCED_FACE", "FACE_SURFACE", "CURVE_BOUNDED_SURFACE")
 _MEASURES = {b"AREA_MEASURE": "area", b"VOLUME_MEASURE": "volume"}
 _NUMBER = rb"[-+]?[0-9.]+(?:[eE][-+]?\d+)?"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Property:
     """One recorded number: `kind` area, volume or centroid; `item` its record, `value` as it stands there.
 
-    scale : mm (mm2, mm3) per unit of the value. items : the shape that it is of, as records; faces : those of them that are
-    faces.
+    scale : mm (mm2, mm3) per unit of the value. product : the product definition that it is of; placed : the
+    occurrence, where it is of the product in its place, else 0. parts : the faces that it
+    covers, as records, with the matrices (4, 4) of the places that they have in it, in mm.
     """
 
     kind: str
     item: int
     value: tuple[float, ...]
     scale: float
-    items: frozenset[int]
-    faces: frozenset[int]
+    product: int
+    placed: int
+    parts: tuple[tuple[frozenset[int], Array], ...]
+
+    @property
+    def faces(self) -> frozenset[int]:
+        """All faces that it covers."""
+        return frozenset().union(*(faces for faces, _ in self.parts))
 
 
 def properties(records: StepRecords) -> list[Property]:
     """The areas, volumes and centroids of a file, in its order. Those whose unit or shape is not known are left out."""
-    found = []
+    found: list[Property] = []
+    assembly = Assembly(records)
     for link in records.of_type("PROPERTY_DEFINITION_REPRESENTATION"):
         definition, representation = (records.references(link) + [0, 0])[:2]
         if not re.search(rb"'geometric.validation.property", records.body(definition), re.IGNORECASE):
             continue
         target = next(iter(records.references(definition)), 0)
-        items = shape_items(records, target)
-        faces = frozenset(n for n in items if records.type(n) in _FACES)
-        for item in _items(records, representation):
-            read = _read(records, item, representation)
-            if read is not None:
-                found.append(Property(*read, items, faces))
+        read = [r for r in (_read(records, item, representation) for item in _items(records, representation)) if r]
+        if read:
+            found += [Property(*item, *_covered(assembly, target)) for item in read]
     return found
+
+
+def _covered(assembly: Assembly, target: int) -> tuple[int, int, tuple[tuple[frozenset[int], Array], ...]]:
+    """The product that a property's target is, or is of, where it is placed, and the faces in it with their places."""
+    records = assembly.records
+    of = next(iter(records.references(target)), 0) if records.type(target) != "PRODUCT_DEFINITION" else target
+    placed = of if of in assembly.occurrences else 0
+    if placed:  # a product where it is placed
+        product = assembly.occurrences[of][1]
+        places = [(n, assembly.matrix(of) @ matrix) for n, matrix in assembly.below(product)]
+    elif of in assembly.paths:
+        product, places = of, list(assembly.below(of))
+    else:  # an aspect: some of a product's shape
+        product = next((n for n in records.below([target]) if n in assembly.paths), 0)
+        return product, 0, ((_faces(records, shape_items(records, target)), np.eye(4)),)
+    return product, placed, tuple((_faces(records, assembly.items(n)), matrix) for n, matrix in places)
+
+
+def _faces(records: StepRecords, items: frozenset[int]) -> frozenset[int]:
+    return frozenset(n for n in items if records.type(n) in _FACES)
 
 
 def _items(records: StepRecords, representation: int) -> list[int]:
@@ -87,27 +118,6 @@ def _unit(records: StepRecords, item: int) -> float | None:
     return None
 
 
-def shape_items(records: StepRecords, target: int) -> frozenset[int]:
-    """All geometric records of the shape that a property is of: a product's, or that of one of its aspects."""
-    holders = {target}
-    if records.type(target) == "PRODUCT_DEFINITION":
-        holders |= {user for user in records.users(target) if records.type(user) == "PRODUCT_DEFINITION_SHAPE"}
-    holders |= {
-        user for holder in set(holders) for user in records.users(holder) if records.type(user) == "PROPERTY_DEFINITION"
-    }
-    roots = []
-    for holder in holders:
-        for user in records.users(holder):
-            if records.type(user) == "SHAPE_DEFINITION_REPRESENTATION":
-                roots += records.references(user)[1:2]
-    linked = set(roots)
-    for root in roots:  # a product's shape may hang on it by a relationship of two representations
-        for user in records.users(root):
-            if records.type(user) == "SHAPE_REPRESENTATION_RELATIONSHIP":
-                linked.update(r for r in records.references(user))
-    return frozenset(records.below(linked, lambda n: records.is_a(n, REPRESENTATION_CONTEXT)))
-
-
 def whole_area(records: StepRecords, faces: set[int]) -> float | None:
     """The recorded area of exactly these faces, mm2; the sum where each face has its own. None when none is recorded."""
     areas = [p for p in properties(records) if p.kind == "area" and p.faces and p.value[0] > 0.0]
@@ -127,33 +137,41 @@ def update(records: StepRecords, before: Mapping[int, Moments], after: Mapping[i
     every = properties(records)
     told: list[str] = []
     touched = [p for p in every if p.faces & before.keys()]
-    volumes = {p.items: p.value[0] * p.scale for p in touched if p.kind == "volume" and p.value[0] > 0.0}
-    areas = {p.items: p.value[0] * p.scale for p in touched if p.kind == "area" and p.value[0] > 0.0}
+    sizes = {
+        (p.product, p.faces, p.kind): p.value[0] * p.scale for p in touched if p.kind != "centroid" and p.value[0] > 0.0
+    }
     for item in touched:
-        changed = item.faces & before.keys()
-        area = sum(after[n].area - before[n].area for n in changed)
-        volume = sum(after[n].volume - before[n].volume for n in changed)
-        if item.kind == "area":
-            new: tuple[float, ...] = (item.value[0] + area / item.scale,)
-        elif item.kind == "volume":
-            if item.value[0] <= 0.0:  # of a body that is no solid
+        area = volume = 0.0
+        area_shift, volume_shift = np.zeros(3), np.zeros(3)
+        for faces, matrix in item.parts:
+            for n in faces & before.keys():
+                old, new = before[n], after[n]
+                area += new.area - old.area
+                volume += new.volume - old.volume
+                area_shift += _placed(matrix, new.area_moments, new.area) - _placed(matrix, old.area_moments, old.area)
+                volume_shift += _placed(matrix, new.volume_moments, new.volume)
+                volume_shift -= _placed(matrix, old.volume_moments, old.volume)
+        if item.kind == "centroid":
+            key = (item.product, item.faces)
+            whole, change, shift = sizes.get((*key, "volume"), 0.0), volume, volume_shift
+            if whole <= 0.0:
+                whole, change, shift = sizes.get((*key, "area"), 0.0), area, area_shift
+            if whole <= 0.0:
+                told.append(f"the recorded centroid #{item.item} is the sender's: no volume or area stands beside it")
                 continue
-            new = (item.value[0] + volume / item.scale,)
+            moved = (np.array(item.value) * item.scale * whole + shift) / (whole + change) / item.scale
+            value = tuple(float(x) for x in moved)
+        elif item.value[0] > 0.0:  # a volume of 0 is that of a body that is no solid
+            value = (item.value[0] + (area if item.kind == "area" else volume) / item.scale,)
         else:
-            old, change, by = (
-                (volumes[item.items], volume, "volume_moments")
-                if item.items in volumes
-                else (areas.get(item.items, 0.0), area, "area_moments")
-            )
-            if old <= 0.0:
-                told.append(f"the centroid #{item.item} is the sender's: no volume or area stands beside it")
-                continue
-            shift = [sum(getattr(after[n], by)[k] - getattr(before[n], by)[k] for n in changed) for k in range(3)]
-            new = tuple(
-                (c * item.scale * old + s) / (old + change) / item.scale for c, s in zip(item.value, shift, strict=True)
-            )
-        records.change(item.item, _with_numbers(records.body(item.item), item.kind, new))
+            continue
+        records.change(item.item, _with_numbers(records.body(item.item), item.kind, value))
     return told
+
+
+def _placed(matrix: Array, moments: tuple[float, float, float], size: float) -> Array:
+    """First moments seen from another frame: of a body of this size, area or volume, placed by a matrix."""
+    return np.asarray(matrix[:3, :3] @ np.array(moments) + size * matrix[:3, 3], dtype=np.float64)
 
 
 def _with_numbers(body: bytes, kind: str, value: tuple[float, ...]) -> bytes:

@@ -17,9 +17,9 @@ from OCP.TopoDS import TopoDS, TopoDS_Edge, TopoDS_Vertex
 
 from .occt.tolerance import FORWARD, curve_of_edge
 from .step_entities import StepEntities
-from .step_geometry import PointPool, closed_flags, coordinates, curve_body, own_points, surface_body
+from .step_geometry import PointPool, closed_flags, curve_body, own_points, surface_body
 from .step_records import StepRecords
-from .step_units import millimetres_at
+from .step_units import coordinates, millimetres_at
 
 if TYPE_CHECKING:
     from .occt.face import OcctFace

@@ -87,5 +87,12 @@ def tolerance(records: StepRecords) -> float | None:
     return max(found, default=None)
 
 
+def coordinates(records: StepRecords, point: int) -> list[float]:
+    """The coordinates of a CARTESIAN_POINT, in the file's unit, or of a DIRECTION."""
+    arguments = records.arguments(point)
+    values = [float(text) for text in arguments[1].strip(b"() \r\n\t").split(b",")]
+    return (values + [0.0, 0.0, 0.0])[:3]
+
+
 def _references_of(arguments: list[bytes]) -> list[int]:
     return [int(n) for argument in arguments for n in re.findall(rb"#\s*(\d+)", argument)]

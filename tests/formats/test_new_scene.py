@@ -19,7 +19,7 @@ from cadsculpt.formats.demo_parts import panel
 from cadsculpt.formats.face_survey import FaceSurvey, Spot, fold_thickness, free_radius, part_samples, survey
 from cadsculpt.formats.new_scene import _turn, new_scene
 from cadsculpt.formats.part import Face, FaceEdge, Faces
-from cadsculpt.formats.press import SHAPES, Press, placed, sizes_of, tool_of, touch_height, wanted
+from cadsculpt.formats.press import SHAPES, Press, Wish, placed, sizes_of, tool_of, touch_height, wanted
 from cadsculpt.formats.scene_toml import SceneFile
 from cadsculpt.motion.path import rotation_to_axis
 from cadsculpt.motion.pose import Pose
@@ -94,6 +94,18 @@ def half_cylinder(radius: float, length: float, outward: bool = True) -> BSpline
 def press_at(seen: FaceSurvey, spot: Spot, shape: str, around: Array) -> Press | None:
     press = wanted(seen, spot, bold=False)
     return None if press is None else placed(press, shape, around)
+
+
+def test_a_wish_limits_the_tool_and_coarsens_the_lattice() -> None:
+    seen = survey(SurfaceFace(1, rectangle(300.0, 200.0)))
+    spot = seen.spots(np.zeros((0, 3)))[0]
+    usual, small, quick = (wanted(seen, spot, bold=False, wish=wish) for wish in (Wish(), Wish(0.02), Wish.quick(0.02)))
+    assert usual is not None
+    assert small is not None
+    assert quick is not None
+    assert small.scale == quick.scale == pytest.approx(0.02 * seen.size)
+    assert small.scale < 0.5 * usual.scale
+    assert quick.spacing > 1.5 * small.spacing
 
 
 # ------------------------------------------------------------------ the survey

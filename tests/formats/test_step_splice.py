@@ -19,7 +19,8 @@ from OCP.GProp import GProp_GProps
 from OCP.TopLoc import TopLoc_Location
 
 from cadsculpt.errors import InputError
-from cadsculpt.formats import step
+from cadsculpt.formats import registry, step
+from cadsculpt.formats.instances import chosen_faces, named_instances
 from cadsculpt.formats.occt.document import set_name, shape_tool
 from cadsculpt.formats.occt.moments import moments_of
 from cadsculpt.formats.occt.part import OcctPart, document_of_shapes
@@ -27,7 +28,9 @@ from cadsculpt.formats.occt.shape import shape_of_surface
 from cadsculpt.formats.part import Face, Part
 from cadsculpt.formats.step_properties import properties
 from cadsculpt.formats.step_records import StepRecords, references, renumbered, split_arguments
+from cadsculpt.formats.step_structure import Assembly
 from cadsculpt.formats.step_units import millimetres_at, tolerance
+from cadsculpt.scene import ModelSpec, Scene
 from cadsculpt.spline.refine import insert_knots
 from cadsculpt.spline.surface import BSplineSurface
 
@@ -331,6 +334,13 @@ def test_a_part_without_instances_says_so(tmp_path):
         part.separated(["a"])
 
 
+def test_loose_faces_keep_their_names_on_the_way_from_iges(tmp_path):
+    named = [(name, shape_of_surface(sheet())) for name in ("roof", "floor")]
+    document_of_shapes(named, faces=named, format="iges").write(tmp_path / "a.igs", "iges")
+    registry.write_part(registry.read(tmp_path / "a.igs"), tmp_path / "b.step", "step")
+    assert [face.name for face in step.read(tmp_path / "b.step").faces] == ["roof", "floor"]
+
+
 # ------------------------------------------------------------------------ real files
 
 
@@ -391,3 +401,86 @@ def test_units_and_tolerance_of_real_files(corpus):
     found = {p.kind: p for p in properties(records)}
     assert found["area"].value[0] * found["area"].scale == pytest.approx(9.085990470547 * 645.16)
     assert len(found["volume"].faces) == 52
+
+
+@pytest.mark.corpus
+def test_places_are_those_that_the_sender_recorded(corpus):
+    """Recorded centroids of placed parts are their own, moved by the placement's matrix; an assembly's area is that of its
+    parts."""
+    records = StepRecords.of((corpus / "step" / "as1_pe_203.stp").read_bytes())
+    assembly = Assembly(records)
+    every = properties(records)
+    own = {p.product: p for p in every if p.kind == "centroid" and not p.placed}
+    placed = [p for p in every if p.kind == "centroid" and p.placed]
+    assert len(placed) == 13
+    for item in placed:
+        centre = np.array([*own[item.product].value, 1.0]) * [25.4, 25.4, 25.4, 1.0]
+        moved = assembly.matrix(item.placed) @ centre
+        np.testing.assert_allclose(moved[:3], np.array(item.value) * 25.4, rtol=0, atol=1e-7)
+    areas = {p.product: p.value[0] for p in every if p.kind == "area"}
+    parts = {n: a for n, a in areas.items() if len(list(assembly.below(n))) == 1}
+    assert len(parts) == 5
+    for product, area in areas.items():
+        total = sum(parts.get(inner, 0.0) for inner, _ in assembly.below(product))
+        assert total == pytest.approx(area, rel=1e-9)
+
+
+@pytest.mark.corpus
+def test_properties_of_the_assemblies_around_a_part_follow(corpus, tmp_path):
+    """A nut gets a dent in one place: the recorded area, volume and centroid of every assembly above become the kernel's."""
+    part = step.read(corpus / "step" / "as1_pe_203.stp").separated(["NUT_5"])
+    faces = part.faces.select([f"NUT_5/face{k}" for k in range(1, 9)])
+    face = max((f for f in faces if f.kind == "plane" and len(f.surface.trims or "x") == 1), key=lambda f: f.area)
+    goal = dented(face.surface, 0.0)
+    net = goal.control_points.copy()
+    middle = tuple(slice(n // 2 - 1, n // 2 + 1) for n in goal.shape)
+    net[middle] += 0.1 * goal.size * goal.normal(*(0.5 * (a + b) for a, b in goal.domain))
+    part.sculpt({face.number: goal.with_control_points(net)})
+    part.write(tmp_path / "b.step", "step")
+    assert not any("anew" in line for line in part.warnings)
+    before = {(p.kind, p.item): p for p in properties(part.source.records)}
+    after = properties(StepRecords.of((tmp_path / "b.step").read_bytes()))
+    again = step.read(tmp_path / "b.step")
+    truth, was = GProp_GProps(), GProp_GProps()
+    BRepGProp.VolumeProperties_s(again.shape, truth, 1e-9, False)
+    BRepGProp.VolumeProperties_s(step.read(corpus / "step" / "as1_pe_203.stp").shape, was, 1e-9, False)
+    (root,) = [p for p in after if p.kind == "volume" and len(p.parts) > 15]
+    change = (root.value[0] - before["volume", root.item].value[0]) * root.scale
+    assert change == pytest.approx(truth.Mass() - was.Mass(), rel=1e-4)
+    assert abs(change) > 1.0
+    changed = {before[p.kind, p.item].product for p in after if before[p.kind, p.item].value != p.value}
+    names = sorted(Assembly(part.source.records).name(product) for product in changed)
+    assert names == ["AS1_PE_ASM", "L_BRACKET_ASSEMBLY_ASM", "NUT", "NUT_BOLT_ASSEMBLY_ASM"]
+    centre = next(p for p in after if p.kind == "centroid" and p.product == root.product and not p.placed)
+    shift = (np.array(centre.value) - before["centroid", centre.item].value) * 25.4
+    a, b = truth.CentreOfMass(), was.CentreOfMass()
+    np.testing.assert_allclose(shift, [a.X() - b.X(), a.Y() - b.Y(), a.Z() - b.Z()], rtol=0.02, atol=1e-6)
+
+
+def spec(**keys: object) -> ModelSpec:
+    return ModelSpec.model_validate(
+        {"name": "m", "file": "a.step", "thickness": 1.0, "nodes": 1.0, "material": "clay", **keys}
+    )
+
+
+def test_a_scene_names_faces_of_instances(tmp_path):
+    part = rack(tmp_path / "a.step")
+    everything = [face.number for face in part.faces]
+    pin = next(i for i in part.instances if i.name == "pin_3")
+
+    def numbers(**keys: object) -> list[int]:
+        return [face.number for face in chosen_faces(part, spec(**keys))]
+
+    assert numbers() == everything
+    assert numbers(faces=["pin_3/face2"]) == [pin.faces[1]]
+    assert numbers(instances=["pin_3"]) == list(pin.faces)
+    assert numbers(instances=["pin_3", "plate_1"], faces=["face1"]) == sorted(
+        i.faces[0] for i in part.instances if i.name in ("pin_3", "plate_1")
+    )
+    with pytest.raises(InputError, match="no face 'lid' in pin_3"):
+        numbers(instances=["pin_3"], faces=["lid"])
+    scene = Scene.model_validate({
+        "units": "mm", "tool": [{"name": "t", "shape": "point"}],
+        "model": [spec(instances=["pin_3", "pin_1"]).model_dump(), spec(name="n", instances=["pin_1"]).model_dump()],
+    })  # fmt: skip
+    assert named_instances(scene, tmp_path) == {(tmp_path / "a.step").resolve(): ["pin_3", "pin_1"]}
