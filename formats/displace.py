@@ -1,13 +1,14 @@
 """A displacement field applied to a part, without any physics: faces near its points follow them, all else stays.
 
 Where the points of the field are a whole grid of nodes on a face, as a run writes them, the face is fitted to those; else
-to nodes of its own, at which the field is interpolated. The fit is the one of a run: it moves only the control points that
-moved nodes ask for, over a net that is fine enough for them.
+to nodes of its own, at which the field is interpolated. The fit is the one of a run's export: to a stated tolerance, with as
+few knots more as the nodes ask for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,15 +17,21 @@ from scipy.spatial import KDTree
 
 from ..errors import GeometryError, InputError
 from ..patch import node_window
-from ..physics.node_grid import NodeGrid, node_grid
+from ..physics.node_grid import node_grid
+from ..spline.adapt import Goal, ToleranceFit, fit_to_tolerance
+from ..spline.hold import Hold
 from ..spline.matrices import span_parameters
-from ..spline.refit import Refit, RefitError, held_control_points
+from ..spline.net_fit import Given, NodeField
+from ..spline.refine import missing_knots
+from ..spline.refit import RefitError
 from ..spline.surface import BSplineSurface
+from ..spline.trim import inside
 from .displacements import DisplacementField
+from .load import sculptable
 from .part import Face, Part
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Span = tuple[float, float]
 
 TOLERANCE = 1e-4
 """Of the refit, in sizes of the face, where none is given."""
@@ -32,11 +39,11 @@ STILL = 0.05
 """Nodes that move by less than this share of the tolerance do not move: their control points keep their bits."""
 ON_FACE = 1e-6
 """Points nearer to a face, in its sizes, lie on it."""
-FINER = 0.7
-"""From one try to the next, of the node spacing, while the tolerance does not hold."""
-TRIES = 6
-COARSER = (6.0, 4.0, 3.0, 2.2, 1.7, 1.35, 1.15, 1.0)
-"""Spacings of the net's knots, in spacings of the field's own grid, tried until the tolerance holds."""
+FINER = 0.6
+"""From one try to the next, of the node spacing, while the nodes do not determine the net."""
+TRIES = 4
+STRAYING = 2.0
+"""Between the nodes, in tolerances, above which a net that follows every node is tried."""
 SPARSE = 50
 """Places of the grid through all points, for each point, above which they are no grid."""
 MOST_CONTROL_POINTS = 20_000
@@ -72,7 +79,7 @@ def displace(
     is in the part's warnings. Raises InputError when no point of the field is near the part, and nothing moves.
     """
     chosen = [face for face in (part.faces if faces is None else faces) if not face.warning]
-    near = [(face, surface) for face in chosen for surface in [face.surface] if _reaches(field, surface)]
+    near = [(face, surface) for face in chosen for surface in [sculptable(part, face)] if _reaches(field, surface)]
     surfaces: dict[int, BSplineSurface] = {}
     found: list[DisplacedFace] = []
     moving = {face.number for face, _ in near}
@@ -119,118 +126,111 @@ def _displaced(
     """The face's surface along the field, None when nothing of it moves."""
     window = node_window(surface)
     grid = _own_grid(surface, field, window)
-    best: _Fit | None = None
+    fit = None
     if grid is not None:
-        wanted = _spacings(surface, grid)
-        for coarser in COARSER:
-            net = (coarser * wanted[0], coarser * wanted[1])
-            tried = _fitted(face, surface, window, net, field, moving, tolerance, grid)
-            if tried is not None and (best is None or tried[0].maximum < best[0].maximum):
-                best = tried
-            if best is not None and best[0].maximum <= tolerance:
-                break
-    spacing = field.spacing
-    for _ in range(0 if best is not None else TRIES):
-        tried = _fitted(face, surface, window, (spacing, spacing), field, moving, tolerance, None)
-        if tried is None:
-            break
-        if best is None or tried[0].maximum < best[0].maximum:
-            best = tried
-        if best[0].maximum <= tolerance:
+        fit = _fitted(face, surface, grid, moving, tolerance)
+    exact, spacing = fit is not None, field.spacing
+    for _ in range(0 if exact else TRIES):
+        grid = _interpolated(surface, field, window, spacing)
+        if grid is None or (fit := _fitted(face, surface, grid, moving, tolerance)):
             break
         spacing *= FINER
-    if best is None:
+    if fit is None or grid is None:
         raise GeometryError(
             f"no net of its surface follows points {field.spacing:.3g} mm apart",
             where=face.name,
             mend="are they in another unit? Otherwise give fewer points",
         )
-    error, made, moves, exact = best
-    most = float(np.linalg.norm(moves, axis=2).max())
+    most = float(np.linalg.norm(grid.moves, axis=2).max())
     if not most > STILL * tolerance:
         return None
-    m, n = moves.shape[:2]
-    return made, DisplacedFace(face.number, face.name, most, error, (m, n), exact)
-
-
-_Fit = tuple[RefitError, BSplineSurface, Array, bool]
+    m, n = grid.moves.shape[:2]
+    return fit.surface, DisplacedFace(face.number, face.name, most, fit.error, (m, n), exact)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Points of a field that are a grid on a face: parameters u (m,), v (n,), and displacements (m, n, 3)."""
+    """Nodes on a face.
+
+    u (m,), v (n,) : their parameters. moves (m, n, 3) : displacements. slivers : the knot spans that have none. knots : that
+    a net has more which follows every node. still : rectangles in which the surface stays.
+    """
 
     u: Array
     v: Array
     moves: Array
+    slivers: tuple[list[Span], list[Span]]
+    knots: tuple[Array, Array]
+    still: tuple[tuple[Span | None, Span | None], ...] = ()
 
 
 def _fitted(
-    face: Face,
-    surface: BSplineSurface,
-    window: tuple[tuple[float, float], tuple[float, float]],
-    spacing: tuple[float, float],
-    field: DisplacementField,
-    moving: set[int],
-    tolerance: float,
-    grid: _Grid | None,
-) -> _Fit | None:
-    """Error, surface, node displacements, and whether the nodes are the field's; None where no such net can be fitted."""
+    face: Face, surface: BSplineSurface, grid: _Grid, moving: set[int], tolerance: float
+) -> ToleranceFit | None:
+    """The refit to the nodes; None where they do not determine the net that was read."""
+    stays = [edge.uv for edge in face.edges if edge.degenerate or (not edge.seam and set(edge.neighbours) - moving)]
+    hold = Hold(tuple(stays), boxes=grid.still)
     try:
-        nodes = _nodes(surface, spacing, window)
-    except (InputError, GeometryError):
-        return None
-    u, v = (nodes.u, nodes.v) if grid is None else (grid.u, grid.v)
-    if grid is None:
-        places = nodes.surface.evaluate(u[:, None], v)
-        moves = field.at(places.reshape(-1, 3)).reshape(places.shape)
-    else:
-        moves = grid.moves
-    try:
-        refit = Refit.of(nodes.surface, u, v, _held(face, nodes, moving), nodes.slivers)
+        nodes = NodeField.of(
+            surface,
+            grid.u,
+            grid.v,
+            grid.moves,
+            counted=inside(surface, grid.u, grid.v),
+            closed=(surface.closed_u, surface.closed_v),
+            slivers=grid.slivers,
+        )
     except GeometryError:
         return None
-    delta = refit.fit(moves, STILL * tolerance)
-    made = nodes.surface.with_control_points(nodes.surface.control_points + delta)
-    return refit.error(moves, delta), made, moves, grid is not None
+    goal = Goal(tolerance, STILL * tolerance, MOST_CONTROL_POINTS)
+    fits: list[ToleranceFit] = []
+    for start in (None, grid.knots):
+        # the net's own knots and few more; or, where the surface would swing between the nodes, those that follow them
+        with suppress(GeometryError):
+            fits.append(
+                fit_to_tolerance(
+                    surface, nodes, goal, constraint=lambda net: Given(hold.control_points(net)), start=start
+                )
+            )
+            if fits[-1].outcome == "within" and fits[-1].between <= STRAYING * tolerance:
+                break
+    return min(fits, key=lambda fit: max(fit.error.maximum, fit.between), default=None)
 
 
-def _nodes(
-    surface: BSplineSurface, spacing: tuple[float, float], window: tuple[tuple[float, float], tuple[float, float]]
-) -> NodeGrid:
-    return node_grid(surface, spacing, window=window, refine=window, most_control_points=MOST_CONTROL_POINTS)
+def _interpolated(
+    surface: BSplineSurface, field: DisplacementField, window: tuple[Span, Span], spacing: float
+) -> _Grid | None:
+    """Nodes of the face's own, with the field's displacements there; None where there would be too many."""
+    try:
+        nodes = node_grid(surface, (spacing, spacing), window=window, refine=window)
+    except (InputError, GeometryError):
+        return None
+    places = surface.evaluate(nodes.u[:, None], nodes.v)
+    moves = field.at(places.reshape(-1, 3)).reshape(places.shape)
+    knots = missing_knots(surface, nodes.surface)
+    return _Grid(nodes.u, nodes.v, moves, nodes.slivers, knots, _still(surface, nodes.u, nodes.v, moves))
 
 
-def _held(face: Face, nodes: NodeGrid, moving: set[int]) -> Mask:
-    """Control points that stay: along edges with faces that stay, at poles, and those that reach beyond the nodes."""
-    surface = nodes.surface
-    held = np.zeros(surface.shape, dtype=np.bool_)
-    for edge in face.edges:
-        if edge.degenerate or (not edge.seam and set(edge.neighbours) - moving):
-            held |= held_control_points(surface, _dense(edge.uv, surface))
-    for axis, (low, high) in enumerate(nodes.window):
-        knots, degree = ((surface.knots_u, surface.degree_u), (surface.knots_v, surface.degree_v))[axis]
-        (start, end), count = surface.domain[axis], surface.shape[axis]
-        before = (knots[:count] < low) & (low > start)
-        behind = (knots[degree + 1 : degree + 1 + count] > high) & (high < end)
-        held |= np.expand_dims(before | behind, 1 - axis)
-    return held
-
-
-def _dense(uv: Array, surface: BSplineSurface) -> Array:
-    """The polyline uv (n, 2) with many more points on it."""
-    most = 4 * max(surface.shape)
-    t = np.linspace(0.0, len(uv) - 1.0, max(most, 4 * len(uv)))
-    places = np.arange(len(uv), dtype=np.float64)
-    return np.column_stack([np.interp(t, places, uv[:, k]) for k in (0, 1)])
+def _still(surface: BSplineSurface, u: Array, v: Array, moves: Array) -> tuple[tuple[Span | None, Span | None], ...]:
+    """The parts of the domain that lie beyond all nodes that move, and two nodes more."""
+    moved = (moves != 0.0).any(axis=2)
+    found: list[tuple[Span | None, Span | None]] = []
+    for axis, t in ((0, u), (1, v)):
+        if not moved.any() or (surface.closed_u, surface.closed_v)[axis]:
+            continue
+        places = np.flatnonzero(moved.any(axis=1 - axis))
+        low, high = surface.domain[axis]
+        for a, b in ((low, t[max(places[0] - 2, 0)]), (t[min(places[-1] + 2, len(t) - 1)], high)):
+            if a < b:
+                span = (float(a), float(b))
+                found.append((span, None) if axis == 0 else (None, span))
+    return tuple(found)
 
 
 # ------------------------------------------------------------------ the field's own grid
 
 
-def _own_grid(
-    surface: BSplineSurface, field: DisplacementField, window: tuple[tuple[float, float], tuple[float, float]]
-) -> _Grid | None:
+def _own_grid(surface: BSplineSurface, field: DisplacementField, window: tuple[Span, Span]) -> _Grid | None:
     """The points of the field that lie on a surface, where they are a whole grid over the window; None where not."""
     tolerance = ON_FACE * surface.size
     net = surface.control_points.reshape(-1, 3)
@@ -261,12 +261,18 @@ def _own_grid(
     found[place_u[row[inside]], place_v[column[inside]]] = moves[inside]
     if np.isnan(found).any() or min(found.shape[:2]) < 4:
         return None
-    u, v = u[full_u], v[full_v]
+    u, v = _snapped(u[full_u], surface.domain[0]), _snapped(v[full_v], surface.domain[1])
     for t, (low, high), closed in ((u, window[0], surface.closed_u), (v, window[1], surface.closed_v)):
         step = float(np.diff(t).max())
         if t[0] - low > 1e-6 * (high - low) or high - t[-1] > (1.5 * step if closed else 1e-6 * (high - low)):
             return None
-    return _Grid(u, v, found)
+    points = surface.evaluate(u[:, None], v)
+    spacing = [float(np.median(np.linalg.norm(np.diff(points, axis=axis), axis=2))) for axis in (0, 1)]
+    try:
+        nodes = node_grid(surface, (spacing[0], spacing[1]), window=window, refine=window)
+    except (InputError, GeometryError):
+        return None
+    return _Grid(u, v, found, nodes.slivers, missing_knots(surface, nodes.surface))
 
 
 def _values(t: Array, domain: tuple[float, float]) -> tuple[Array, NDArray[np.int64]]:
@@ -277,6 +283,13 @@ def _values(t: Array, domain: tuple[float, float]) -> tuple[Array, NDArray[np.in
     which = np.empty(len(t), dtype=np.int64)
     which[order] = group
     return np.bincount(which, weights=t) / np.bincount(which), which
+
+
+def _snapped(t: Array, domain: Span) -> Array:
+    """Parameters with those at the domain's ends, to rounding, exactly there: what lies beyond the nodes stays."""
+    low, high = domain
+    near = 1e-6 * (high - low)
+    return np.where(t - low <= near, low, np.where(high - t <= near, high, t))
 
 
 def _full(
@@ -295,12 +308,6 @@ def _full(
             keep = thin_v > thin_v.min()
             table, columns = table[:, keep], columns[keep]
     return (rows, columns) if len(rows) and len(columns) else (None, None)
-
-
-def _spacings(surface: BSplineSurface, grid: _Grid) -> tuple[float, float]:
-    """Median distances of a grid's nodes along u and along v."""
-    points = surface.evaluate(grid.u[:, None], grid.v)
-    return tuple(float(np.median(np.linalg.norm(np.diff(points, axis=axis), axis=2))) for axis in (0, 1))  # type: ignore[return-value]
 
 
 def feet(surface: BSplineSurface, points: Array, steps: int = 12) -> Array:

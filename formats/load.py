@@ -52,7 +52,7 @@ class Loaded:
         result: dict[Path, dict[int, BSplineSurface]] = {path: {} for path, _ in self.faces}
         for index, (path, number) in enumerate(self.faces):
             face = exported.faces[index]
-            fine = insert_knots(_sculptable(self.parts[path], self.parts[path].faces.number(number)), *face.knots)
+            fine = insert_knots(sculptable(self.parts[path], self.parts[path].faces.number(number)), *face.knots)
             moved = face.displacement
             net = np.where(moved == 0.0, fine.control_points, fine.control_points + moved * to_mm)
             result[path][number] = fine.with_control_points(net)
@@ -141,7 +141,7 @@ def _solids(part: Part) -> dict[int, int]:
     return {numbers[k]: numbers[group[0]] for group in together(len(numbers), edges) for k in group}
 
 
-def _sculptable(part: Part, face: Face) -> BSplineSurface:
+def sculptable(part: Part, face: Face) -> BSplineSurface:
     """The surface (mm) that is sculpted: the face's own. Planes, cylinders and their like, of degree 1 and 2, become splines of
     the CAD kernel anyway: they are raised to SMOOTH_DEGREE first, so that a dent in them is smooth, with far fewer control
     points."""
@@ -152,7 +152,7 @@ def _sculptable(part: Part, face: Face) -> BSplineSurface:
 
 def _source_face(part: Part, face: Face, units: str) -> SourceFace:
     try:
-        surface = _sculptable(part, face).scaled(conversion("mm", units))
+        surface = sculptable(part, face).scaled(conversion("mm", units))
     except CadsculptError as error:
         raise InputError(error.what, where=f"{part.path.name}, face {face.name!r}", mend=error.mend) from None
     if face.warning:

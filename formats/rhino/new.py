@@ -120,7 +120,8 @@ def _things(part: Part) -> Iterator[tuple[str, Any]]:
             continue
         for item in surfaces:
             surface = item[1]
-            brep = None if surface.trims is None else _valid_brep(kernel, [item])
+            # a surface that stands alone has no other side than its own
+            brep = None if surface.trims is None and surface.outward else _valid_brep(kernel, [item])
             if brep is not None:
                 yield surface.name, brep
                 continue

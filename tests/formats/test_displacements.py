@@ -283,6 +283,27 @@ def test_a_runs_displacements_bring_its_surfaces(format: str, tmp_path: Path) ->
     assert gap <= 0.02
 
 
+def test_a_plane_of_a_solid_gets_a_smooth_dent(tmp_path: Path) -> None:
+    """Its bilinear patch is raised first; the other five faces of the box stay."""
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox
+
+    from cadsculpt.formats.occt.part import document_of_shapes
+
+    document_of_shapes([("box", BRepPrimAPI_MakeBox(60.0, 50.0, 10.0).Shape())]).write(tmp_path / "box.step", "step")
+    part = registry.read(tmp_path / "box.step")
+    x, y = (side.ravel() for side in np.meshgrid(np.linspace(2, 58, 45), np.linspace(2, 48, 41), indexing="ij"))
+    points = np.column_stack([x, y, np.full(len(x), 10.0)])
+    (told,) = displace(part, displacements.field_of(points, dent(points) ** 3 / 9.0), tolerance=0.01)
+    new = part.faces.number(told.number).surface
+    assert min(new.degree_u, new.degree_v) >= 3
+    (a, b), (c, d) = new.domain
+    heights = new.evaluate(np.linspace(a, b, 80)[:, None], np.linspace(c, d, 80))
+    flat = heights.reshape(-1, 3)
+    assert np.abs(flat[:, 2] - 10.0 - dent(flat)[:, 2] ** 3 / 9.0).max() < 0.15
+    assert part.validity().valid
+    assert sum(face.kind == "plane" for face in part.faces) == 5
+
+
 def test_the_command_says_what_moved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surface = sheet()
     patch_json.write_surfaces(tmp_path / "a.json", [surface, sheet("beside", 50.0)], "mm")

@@ -254,6 +254,56 @@ def assert_rest_untouched(was: bytes, now: bytes, record: int) -> None:
             assert was[a.chunk.start : a.chunk.end] == now[b.chunk.start : b.chunk.end]
 
 
+@pytest.mark.parametrize("version", [3, 4, 5, 6, 7, 8])
+def test_what_has_no_surface_is_left_as_it_is(version: int, tmp_path: Path) -> None:
+    """Meshes, points, curves, SubDs and text beside the face that is sculpted: the same bytes, on the same layers."""
+    model = rhino3dm.File3dm()
+    model.Settings.ModelUnitSystem = rhino3dm.UnitSystem.Centimeters
+    for name, colour in (("bodies", (200, 10, 10, 255)), ("meshes", (10, 200, 10, 255))):
+        layer = rhino3dm.Layer()
+        layer.Name, layer.Color = name, colour
+        model.Layers.Add(layer)
+    mesh = rhino3dm.Mesh()
+    for x, y, z in ((0, 0, 0), (4, 0, 0), (0, 4, 1)):
+        mesh.Vertices.Add(x, y, z)
+    mesh.Faces.AddFace(0, 1, 2)
+    attributes_of = {}
+    for name, layer_index in (("sheet", 0), ("net", 1)):
+        attributes_of[name] = rhino3dm.ObjectAttributes()
+        attributes_of[name].Name, attributes_of[name].LayerIndex = name, layer_index
+    sheet = rhino3dm.NurbsSurface.Create(3, False, 4, 4, 6, 6)
+    for i in range(6):
+        for j in range(6):
+            sheet.Points[i, j] = rhino3dm.Point4d(2.0 * i, 3.0 * j, 0.1 * i * j, 1.0)
+    for knots in (sheet.KnotsU, sheet.KnotsV):
+        knots.CreateUniformKnots(1.0)
+    model.Objects.AddMesh(mesh, attributes_of["net"])
+    model.Objects.AddSurface(sheet, attributes_of["sheet"])
+    model.Objects.AddPoint(rhino3dm.Point3d(1, 2, 3))
+    model.Objects.AddLine(rhino3dm.Point3d(0, 0, 0), rhino3dm.Point3d(1, 1, 1))
+    if version >= 7:
+        model.Objects.Add(rhino3dm.SubD(), rhino3dm.ObjectAttributes())
+    path, out = tmp_path / "mixed.3dm", tmp_path / "out.3dm"
+    assert model.Write(str(path), version)
+
+    part = rhino.read(path)
+    assert part.units == "cm"
+    (face,) = part.faces
+    assert face.name == "sheet"
+    new = dented(face.surface)
+    part.sculpt({1: new})
+    part.write(out, "3dm")
+    was, now = path.read_bytes(), out.read_bytes()
+    record = next(i for i, r in enumerate(object_records(was)) if r.holds_surfaces)
+    assert_rest_untouched(was, now, record)
+    back = rhino.read(out)
+    assert np.abs(back.faces[0].surface.control_points - new.control_points).max() <= 1e-9
+    read = rhino3dm.File3dm.Read(str(out))
+    assert [(layer.Name, layer.Color) for layer in read.Layers] == [
+        (layer.Name, layer.Color) for layer in rhino3dm.File3dm.Read(str(path)).Layers
+    ]
+
+
 @pytest.mark.corpus
 @pytest.mark.parametrize("name", ["v2_Terrain", "v5_ring", "v4_DinerMug"])
 def test_sculpted_part_as_step(corpus: Path, name: str, tmp_path: Path) -> None:
