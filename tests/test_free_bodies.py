@@ -67,7 +67,7 @@ def model_of(
             "material": {"stuff": STUFF},
             "model": [{"name": f"model {i}", "file": "none"} | body | keys for i, (_, keys) in enumerate(models)],
             "tool": [{"name": "ball", "path": path} | (tool or {"shape": "sphere", "radius": 5.0})],
-            "solver": {"resolution": 41, "step": 1e-3, "max_penetration": 0.5} | solver,
+            "solver": {"resolution": 21, "step": 1e-3, "max_penetration": 0.5} | solver,
             "refit": {"tolerance": 0.05},
         }
     )
