@@ -318,9 +318,11 @@ class Scene(Spec):
         given_lengths = [model.thickness for model in scene.model] + [tool.thickness for tool in scene.tool]
         thickness = min(length for length in given_lengths if length is not None)
         if scene.solver.tolerance is None or scene.solver.max_penetration is None:
+            tolerance, left = scene.solver.tolerance, scene.solver.max_penetration
+            # an overlap smaller than the tolerance cannot be seen
             lengths = {
-                "tolerance": scene.solver.tolerance or thickness / 300.0,
-                "max_penetration": scene.solver.max_penetration or thickness / 60.0,
+                "tolerance": tolerance or min(thickness / 300.0, left or thickness),
+                "max_penetration": left or max(thickness / 60.0, tolerance or 0.0),
             }
             scene.__dict__["solver"] = scene.solver.model_copy(update=lengths)
         if scene.refit.tolerance is None:

@@ -397,3 +397,12 @@ def test_checked_parts_and_numpy_numbers_make_a_scene_too() -> None:
 def test_units_have_one_name() -> None:
     for written, name in (("inch", "in"), ("MM", "mm"), ("metre", "m")):
         assert Scene.model_validate(changed(("units",), written)).units == name
+
+
+def test_lengths_left_out_go_with_those_given():
+    """What may be left of an overlap is never less than what is seen of one."""
+    for solver in ({"tolerance": 3.0}, {"max_penetration": 1e-4}, {}):
+        given = good() | {"solver": solver}
+        read = Scene.model_validate(given).solver
+        assert 0 < read.tolerance <= read.max_penetration
+        Scene.model_validate(given | {"solver": {"tolerance": read.tolerance, "max_penetration": read.max_penetration}})

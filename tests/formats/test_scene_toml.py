@@ -364,7 +364,7 @@ shapes = st.one_of(
     st.fixed_dictionaries(
         {"shape": st.just("surface"), "file": st.just("part.step"), "material": st.just("foam")}
         | {"thickness": positive, "nodes": positive | counts},
-        optional={"hold": anchors, "layers": st.integers(1, 9)},
+        optional={"hold": anchors.filter(lambda anchor: anchor != "none"), "layers": st.integers(1, 9)},
     ),
     st.fixed_dictionaries({"use": st.sampled_from(sorted(tool_toml.library()))}),
     st.fixed_dictionaries({"use": st.just("ball"), "radius": positive}),
@@ -440,11 +440,13 @@ def scenes(draw: st.DrawFn) -> dict[str, Any]:
             ),
         },
     )
+    tools = [{"name": name, **draw(tool)} for name in names[1:]]
+    held = {"anchor": "base"} if any("force" in each for each in tools) else {}
     return {
         "units": draw(st.sampled_from(sorted(METRES_PER_UNIT))),
         "material": tables,
-        "model": [{"name": names[0], **draw(model)}],
-        "tool": [{"name": name, **draw(tool)} for name in names[1:]],
+        "model": [{"name": names[0], **draw(model), **held}],
+        "tool": tools,
         **draw(rest),
     }
 
