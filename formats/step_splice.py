@@ -56,12 +56,16 @@ def splice(
             _put_surface(records, number, face, _scale(records, number, scale), kept)
     for edge in edges:
         number = entities.of_shape(edge)
-        if number == 0 or records.type(number) != "EDGE_CURVE":
+        if number == 0:  # the border of a loose surface is curves alone: how they read back is for the caller to see
+            continue
+        if records.type(number) != "EDGE_CURVE":
             raise CannotSpliceError("an edge that moved is no EDGE_CURVE of the file")
         _put_curve(records, number, edge, _scale(records, number, scale), kept)
     for vertex in vertices:
         number = entities.of_shape(vertex)
-        if number == 0 or records.type(number) != "VERTEX_POINT":
+        if number == 0:
+            continue
+        if records.type(number) != "VERTEX_POINT":
             raise CannotSpliceError("a vertex that moved is no VERTEX_POINT of the file")
         p = BRep_Tool.Pnt_s(TopoDS.Vertex(vertex.Located(TopLoc_Location())))
         pool = PointPool(records, _scale(records, number, scale))
