@@ -16,6 +16,7 @@ from .model import Model
 from .motion.pose import Pose
 from .physics.explicit import ContactLoad, LatticeState, StepForces, advance
 from .physics.implicit import advance_implicit
+from .plain_loads import PlainLoads, scatter
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -28,8 +29,10 @@ class Lattices:
     model: Model
     groups: tuple[Group, ...]
     _loads: LoadMaker = field(init=False)
+    _plain: PlainLoads = field(init=False)
 
     def __post_init__(self) -> None:
+        self._plain = PlainLoads(self.model)
         self._loads = LoadMaker(self.model.patches, self.model.metres_per_unit)
 
     def at_rest(self) -> list[LatticeState]:
@@ -112,6 +115,8 @@ class Lattices:
 
         Raises SimulationError where a lattice becomes unstable; all states are then as they were.
         """
+        if self._plain.all_plain(contacts):
+            return self._advance_plain(states, contacts, before, after, dt, step)
         forces, depths = np.zeros((len(contacts), 3)), np.array(contacts.depth)
         sides = self._sides(contacts)
         velocity = self._velocities(contacts, sides, before, after, dt)
@@ -141,6 +146,32 @@ class Lattices:
         return forces, depths
 
     # -------------------------------------------------------------- internals
+
+    def _advance_plain(
+        self,
+        states: Sequence[LatticeState],
+        contacts: Contacts,
+        before: Sequence[Pose],
+        after: Sequence[Pose],
+        dt: float,
+        step: int,
+    ) -> tuple[Array, Array]:
+        """The same where rigid tools meet lattices that no tool carries, without allocating: the results hold until the next
+        call."""
+        plain = self._plain
+        forces, depths, velocity = plain.begin(contacts, before, after, dt)
+        plain.keep(states[:-1])
+        for group, state in zip(self.groups, states, strict=True):
+            mine, load = plain.load(group, contacts, velocity)
+            if load is None and self.model.scene.solver.substep is None and plain.rests(group, state):
+                continue  # nothing to integrate, however long the step
+            try:
+                result = self._integrate(group, state, load, dt, None)
+            except SimulationError as error:
+                plain.put_back(states[:-1])
+                raise SimulationError(error.what, where=f"step {step}, {self._named(group)}", mend=error.mend) from None
+            scatter(mine, result.mean_force, result.depth, forces, depths)
+        return forces, depths
 
     def _named(self, group: Group) -> str:
         """A group in words: its face, or its bodies."""

@@ -185,7 +185,7 @@ def run(
                 np.array([r.max_depth for r in each]),
                 np.array([r.max_penetration for r in each]),
             )
-            hooks.on_step(record, ContactRecord(state.step, state.time, session.contacts, session.forces))
+            hooks.on_step(record, ContactRecord(state.step, state.time, session.contacts.copy(), session.forces.copy()))
         if frames and hooks.on_frame and (state.step % every == 0 or state.step == model.steps):
             hooks.on_frame(frames.frame())
         if hooks.on_progress:

@@ -9,6 +9,7 @@ body that nothing holds is fitted in the frame of its nearest rigid motion, so t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.contacts import Contacts
-from .collide.detect import Counters, DetectCache, Detection, DetectOptions, SurfaceTool, Undecided, detect
+from .collide.detect import Counters, DetectCache, Detection, RigidSurfaceTool, SurfaceTool, Undecided, detect
 from .collide.query import FieldTool, PointTool
 from .encounters import Pairs
 from .errors import InputError, SimulationError
@@ -34,6 +35,7 @@ from .physics.explicit import LatticeState
 from .reaction import Reaction, StepActs
 from .spline.refit import RefitError
 from .spline.surface import BSplineSurface
+from .step_workspace import StepWorkspace
 from .tools import surface as tools
 
 Array = NDArray[np.float64]
@@ -71,12 +73,12 @@ class State:
     pushes: PushMemory
 
     def copy(self) -> State:
-        """A state of its own with the same values. (Control points are not written to, only replaced.)"""
+        """A state of its own with the same values."""
         return replace(
             self,
             poses=list(self.poses),
             lattices=[lattice.copy() for lattice in self.lattices],
-            control_points=list(self.control_points),
+            control_points=[net.copy() for net in self.control_points],
             touched=self.touched.copy(),
         )
 
@@ -94,8 +96,11 @@ class Session:
     source : a `Model`, or a scene that builds one. After `step`, `contacts` and `forces` (n, 3) [N, on the bodies a] hold
     the contacts that acted during it, `depths` (n,) how deep they are at its end (in the deepest piece of a step that
     continuous collision cuts). `clock`, a timer in seconds, fills `timing` with the seconds that each phase of each step
-    took. `undecided` : per pair of bodies, how deep a contact may have been that was not found (see `query.Undecided`);
-    empty as a rule.
+    took. `undecided` : per pair of bodies, how deep a contact may have been that was not found (see `query.Undecided`); empty
+    as a rule.
+
+    A warm step of rigid tools allocates no array (`step_workspace`): contacts, forces, depths, the reactions' arrays and the
+    control points of `state` are overwritten by the next steps, so that whoever keeps them copies them.
     """
 
     source: Model | Buildable
@@ -111,7 +116,10 @@ class Session:
     lookahead: Lookahead = field(init=False)
     _pairs: Pairs = field(init=False)
     _lattices: Lattices = field(init=False)
-    _caches: dict[int, DetectCache] = field(init=False, default_factory=dict)
+    _caches: list[DetectCache] = field(init=False)
+    _others: list[list[int]] = field(init=False)
+    _found: Counters = field(init=False)
+    _work: StepWorkspace = field(init=False)
 
     def __post_init__(self) -> None:
         self.model = self.source if isinstance(self.source, Model) else self.source.build()
@@ -128,7 +136,10 @@ class Session:
         )
         self.lookahead = Lookahead(model)
         self.contacts, self.forces, self.depths = Contacts.none(), np.zeros((0, 3)), np.zeros(0)
-        self.counters = Counters()
+        self.counters, self._found = Counters(), Counters()
+        self._work = StepWorkspace(model)
+        self._others = [self._pairs.others(body) for body in range(len(model.bodies))]
+        self._caches = [DetectCache() for _ in model.bodies]
         self.undecided = {}
         self.timing = {"collide": [], "lattice": [], "refit": []}
 
@@ -141,12 +152,13 @@ class Session:
         """
         model, state = self.model, self.state
         dt = model.step if dt is None else dt
-        if not (np.isfinite(dt) and dt > 0):
+        if not 0.0 < dt < math.inf:
             raise InputError(f"a step of {dt} s", mend="a step takes a positive time")
         given, start, before = dict(poses or {}), state.time, state.poses
         self._refuse_unknown(given)
         self._let_roam(given)
-        acts = StepActs(len(model.tools), dt, model.models)
+        acts = self._work.acts
+        acts.start(dt)
         for time in self._stops(given, start, dt):
             after = [
                 given[tool.name] if time == start + dt and tool.name in given
@@ -184,7 +196,8 @@ class Session:
     def _push(self, targets: list[Pose], end: float, acts: StepActs) -> StepActs:
         """Move the tools towards `targets`, those under force control as far as their force takes them. Returns `acts` with
         what acted meanwhile."""
-        start, undecided, share = self.state, dict(self.undecided), acts.dt / (end - self.state.time)
+        # (a copy, for the trials write to the workspace's nets)
+        start, undecided, share = self.state.copy(), dict(self.undecided), acts.dt / (end - self.state.time)
         done = acts
 
         def trial(poses: list[Pose]) -> Array:
@@ -217,7 +230,7 @@ class Session:
             motions = [Motion.between(a, b) for a, b in zip(state.poses, after, strict=True)]
             stride = self.model.stride / travel
             # inside the material there is no surface to meet: what is in contact is watched
-            watched = own > QUIET * self.model.stride or len(self.detect(state.poses).contacts) > 0
+            watched = own > QUIET * self.model.stride or len(self._contacts(state.poses, 0.0)) > 0
             nets = state.control_points
             free = 0.0 if watched else self.lookahead.free(nets, nets, motions)
             acts.seconds["collide"] += self._tick() - tick
@@ -259,7 +272,7 @@ class Session:
         state, before, dt = self.state, self.state.poses, end - self.state.time
         tick = self._tick()
         margin = self._margin(before, after) + self._own_way(before, after, dt)
-        contacts = self.detect(before, margin).contacts if watched else Contacts.none()
+        contacts = self._contacts(before, margin) if watched else Contacts.none()
         collided = self._tick()
         try:
             forces, depths = self._lattices.advance(state.lattices, contacts, before, after, dt, state.step + 1)
@@ -268,7 +281,7 @@ class Session:
             raise
         advanced = self._tick()
         acting = acts.add(contacts, forces, depths, before, after, dt, self.model.metres_per_unit)
-        self._note_touched(contacts.chosen(acting), before, after, dt)
+        self._note_touched(acting, before, after, dt)
         self._refit(after)
         refitted = self._tick()
         for phase, seconds in (
@@ -284,8 +297,9 @@ class Session:
     ) -> None:
         """When the pairs of these contacts met that had not touched before; the nets are still those of the start. Where
         the tools alone do not meet a body at rest, they met at the end, if they are certain to have met at all."""
-        state = self.state
-        pairs = self.model.pairs
+        state, pairs = self.state, self.model.pairs
+        if not self._work.untouched(contacts.a, contacts.b, state.touched):
+            return
         for pair in np.unique(pairs.places(contacts.a, contacts.b)).tolist():
             if np.isnan(state.touched[pair]):
                 motions = [Motion.between(a, b) for a, b in zip(before, after, strict=True)]
@@ -295,19 +309,22 @@ class Session:
 
     def detect(self, poses: list[Pose] | None = None, margin: float = 0.0) -> Detection:
         """Contacts of all bodies that may meet, with the tools at these poses (default: where they are), depth >= -margin."""
-        model, state = self.model, self.state
-        poses = state.poses if poses is None else poses
-        options = model.options
-        options = DetectOptions(mode=options.mode, tolerance=options.tolerance, delta=options.delta, margin=margin)
-        parts, undecided = list[tuple[Contacts, Detection]](), list[Undecided]()
-        placed: dict[int, FieldTool | PointTool | SurfaceTool] = {}
-        for body in range(len(model.bodies)):
-            others = self._pairs.others(body)
+        undecided = list[Undecided]()
+        contacts = self._contacts(self.state.poses if poses is None else poses, margin, undecided).copy()
+        return Detection(contacts, self._found, undecided=tuple(undecided))
+
+    def _contacts(self, poses: list[Pose], margin: float, undecided: list[Undecided] | None = None) -> Contacts:
+        """The contacts of `detect`, in the workspace: they hold until the next detection."""
+        model, out = self.model, self._work.contacts
+        options = replace(model.options, margin=margin)
+        placed: dict[int, FieldTool | PointTool | SurfaceTool | RigidSurfaceTool] = {}
+        out.count = 0
+        for body, others in enumerate(self._others):
             if not others:
                 continue
             for other in others:
                 if other not in placed:
-                    placed[other] = self.placed(other, poses)
+                    placed[other] = self._placed(other, poses)
             faces = model.faces_of[body]
             found = detect(
                 [model.face(i).grid for i in faces],
@@ -315,21 +332,27 @@ class Session:
                 [placed[other] for other in others],
                 options,
                 body=body,
-                cache=self._caches.setdefault(body, DetectCache()),
+                cache=self._caches[body],
+                faces=faces,
+                others=others,
+                into=out,
             )
+            self._found = found.counters
             self.counters.add(found.counters)
             for lack in found.undecided:
                 pair = body, others[lack.tool]
                 self.undecided[pair] = max(self.undecided.get(pair, 0.0), lack.depth)
-                undecided.append(replace(lack, tool=pair[1]))
-            contacts = replace(
-                found.contacts, face=np.array(faces)[found.contacts.face], b=np.array(others)[found.contacts.b]
-            )
-            parts.append((contacts, found))
-        if len(parts) == 1:
-            return Detection(parts[0][0], parts[0][1].counters, undecided=tuple(undecided))
-        joined = Contacts.joined([contacts for contacts, _ in parts])
-        return Detection(joined, parts[-1][1].counters if parts else Counters(), undecided=tuple(undecided))
+                if undecided is not None:
+                    undecided.append(replace(lack, tool=pair[1]))
+        return out.view()
+
+    def _placed(self, body: int, poses: list[Pose]) -> FieldTool | PointTool | SurfaceTool | RigidSurfaceTool:
+        """As `placed`, in arrays of the workspace, and in its own frame what does not deform."""
+        index = self.model.tool_of(body)
+        if index is None or self.model.tools[index].patches:
+            return self.placed(body, poses)
+        tool, pose = self.model.tools[index].tool, self._work.pose(index, poses[index])
+        return tool.rigid(pose) if isinstance(tool, tools.SurfaceTool) else tool.placed(pose)
 
     def nets(self, body: int, poses: list[Pose] | None = None) -> list[Array]:
         """The control points in the world of a body's faces, with the tools at these poses."""
@@ -398,7 +421,7 @@ class Session:
         }
         of_patch = self._lattices.of_patches(state.lattices)
         for i, (lattice, net) in enumerate(zip(of_patch, state.control_points, strict=True)):
-            arrays[f"net_{i}"] = net
+            arrays[f"net_{i}"] = np.array(net)
             for name in _LATTICE_STATE:
                 arrays[f"lattice_{i}_{name}"] = np.asarray(getattr(lattice, name))
         return arrays
@@ -441,9 +464,12 @@ class Session:
         """A deformable tool that a program moves may go anywhere, not only where its path does: what it may meet is integrated
         together with it."""
         for body, tool in enumerate(self.model.tools, start=self.model.models):
-            pairs = self._pairs.roaming(body) if tool.patches and tool.name in given else self._pairs
+            if not tool.patches or tool.name not in given:
+                continue
+            pairs = self._pairs.roaming(body)
             if (pairs.meet != self._pairs.meet).any():
                 self._pairs = pairs
+                self._others = [pairs.others(k) for k in range(len(self.model.bodies))]
                 groups = group_patches(self.model.patches, pairs)
                 self.state.lattices = self._lattices.regrouped(self.state.lattices, groups)
 
@@ -455,17 +481,7 @@ class Session:
 
     def _margin(self, before: list[Pose], after: list[Pose]) -> float:
         """How far any point of a tool can come nearer within the step: contacts to be are watched as well."""
-        margin = 0.0
-        for tool, a, b in zip(self.model.tools, before, after, strict=True):
-            corners = tool.tool.box_corners
-            reach = float(np.linalg.norm(corners, axis=1).max())
-            if not np.isfinite(reach):
-                # of a tool without an end, what is near the model
-                middle, half = self.model.ball
-                reach = float(max(np.linalg.norm(middle - pose.at) for pose in (a, b))) + half
-            turn = float(np.linalg.norm(b.rotation - a.rotation))
-            margin = max(margin, float(np.linalg.norm(b.at - a.at)) + reach * turn)
-        return margin
+        return self._work.travel(before, after)
 
     def _own_way(self, before: list[Pose], after: list[Pose], dt: float) -> float:
         """How far bodies move by themselves in dt seconds at twice the speed they have now: what pushes them faster within the
@@ -507,10 +523,15 @@ class Session:
         frames = self._frames(poses)
         for index, patch in enumerate(self.model.patches):
             frame = frames.get(patch.body)
+            if frame is None:
+                group, state = self._of(index)
+                net = self.state.control_points[index]
+                self.state.control_points[index] = self._work.refit(index, state.x[group.nodes_of(index)], net)
+                continue
             delta = patch.refit.fit(self._moved(index, frame), self.model.refit_threshold)
             rest = patch.surface.control_points
             net = np.where(delta == 0.0, rest, rest + delta)
-            if frame is not None and patch.body in self.model.free:
+            if patch.body in self.model.free:
                 net = frame.to_world(net)
             if not np.array_equal(net, self.state.control_points[index]):
                 # read-only: the broad phase takes the same array for the same net

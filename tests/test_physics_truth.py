@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 
@@ -67,6 +68,9 @@ def test_explicit_and_implicit_leave_the_same_dent(part):
 
 
 def test_what_a_step_allocates_is_counted(part):
-    result = part("physics_scenes").allocation_truth(warm=10, steps=1, nodes=4.0)
-    assert result["allocated_bytes"] > 0
-    assert result["zero_allocation"] == (result["allocated_bytes"] < 10_000)
+    result = part("physics_scenes").allocation_truth(warm=30, steps=1, nodes=4.0)
+    assert result["array_bytes"] == 0
+    assert result["zero_allocation"]
+    assert 0 < result["object_bytes"] < 200_000
+    memory = part("step_memory")
+    assert memory.array_bytes(lambda: float(np.arange(100.0).sum() + np.ones(50).sum())) >= 800

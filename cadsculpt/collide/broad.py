@@ -105,6 +105,12 @@ def near_box(boxes: Array, low: Array, high: Array, margin: float, diagonals: fl
     """The boxes of (n, 2, 3) that come within the margin, and this share of their own diagonals, of the box from low to
     high along every axis."""
     out = np.empty(len(boxes), np.int64)
+    return out[: fill_near(boxes, low, high, margin, diagonals, out)].copy()
+
+
+@njit
+def fill_near(boxes: Array, low: Array, high: Array, margin: float, diagonals: float, out: Index) -> int:
+    """The boxes of `near_box` into out; how many they are."""
     count = 0
     for k in range(len(boxes)):
         reach = margin
@@ -119,7 +125,7 @@ def near_box(boxes: Array, low: Array, high: Array, margin: float, diagonals: fl
         if meets:
             out[count] = k
             count += 1
-    return out[:count].copy()
+    return count
 
 
 @dataclass(slots=True, eq=False)
@@ -132,25 +138,30 @@ class Extents:
 
     boxes: Array = field(default_factory=lambda: np.empty((0, 2, 3)))
     _known: list[Array | None] = field(default_factory=list)
+    _numbers: Array = field(default_factory=lambda: np.empty(0))
+    _starts: Index = field(default_factory=lambda: np.zeros(1, np.int64))
+    _which: Index = field(default_factory=lambda: np.empty(0, np.int64))
 
     def of(self, nets: Sequence[Array], whose: str) -> Array:
         """The boxes of these nets. Raises GeometryError for one that is not finite."""
         if len(nets) != len(self._known):
             self.boxes, self._known = np.empty((len(nets), 2, 3)), [None] * len(nets)
+            self._starts, self._which = np.zeros(len(nets) + 1, np.int64), np.empty(len(nets), np.int64)
         changed = [k for k, same in enumerate(map(is_, nets, self._known)) if not same]
         if not changed:
             return self.boxes
-        fresh = [nets[k] for k in changed]
-        starts = np.zeros(len(fresh) + 1, np.int64)
-        np.cumsum([net.size for net in fresh], out=starts[1:])
-        boxes = boxes_of(np.asarray(np.concatenate(fresh, axis=None), dtype=np.float64), starts)
-        self.boxes[changed] = boxes
-        for k, net in zip(changed, fresh, strict=True):
+        end = 0
+        for place, k in enumerate(changed):
+            net, start, end = nets[k], end, end + nets[k].size
+            if end > len(self._numbers):
+                self._numbers = np.concatenate([self._numbers[:start], np.empty(2 * end - start)])
+            self._numbers[start:end].reshape(net.shape)[...] = net
+            self._starts[place + 1], self._which[place] = end, k
             self._known[k] = None if net.flags.writeable or net.base is not None else net
-        if not np.isfinite(boxes).all():
-            k = int(np.flatnonzero(~np.isfinite(boxes).all(axis=(1, 2)))[0])
+        wrong = fill_boxes_of(self._numbers, self._starts, self._which, len(changed), self.boxes)
+        if wrong >= 0:
             self._known = [None] * len(nets)
-            raise GeometryError("a control point is not finite", where=f"patch {changed[k]} of the {whose}")
+            raise GeometryError("a control point is not finite", where=f"patch {wrong} of the {whose}")
         return self.boxes
 
 
@@ -164,7 +175,15 @@ def boxes_of(numbers: Array, starts: Index) -> Array:
     """Boxes (n, 2, 3) of nets whose coordinates x, y, z follow each other in numbers[starts[k]] to numbers[starts[k + 1]]:
     NaN anywhere makes one NaN."""
     out = np.empty((len(starts) - 1, 2, 3))
-    for k in range(len(out)):
+    fill_boxes_of(numbers, starts, np.arange(len(out)), len(out), out)
+    return out
+
+
+@njit
+def fill_boxes_of(numbers: Array, starts: Index, which: Index, count: int, out: Array) -> int:
+    """The boxes of `boxes_of` into the rows which[:count] of out; the first row that is not finite, or -1."""
+    wrong = -1
+    for k in range(count):
         for c in range(3):
             low, high = np.inf, -np.inf
             for t in range(starts[k] + c, starts[k + 1], 3):
@@ -173,5 +192,7 @@ def boxes_of(numbers: Array, starts: Index) -> Array:
                     low, high = np.nan, np.nan
                     break
                 low, high = min(low, x), max(high, x)
-            out[k, 0, c], out[k, 1, c] = low, high
-    return out
+            out[which[k], 0, c], out[which[k], 1, c] = low, high
+            if wrong < 0 and not (np.isfinite(low) and np.isfinite(high)):
+                wrong = which[k]
+    return wrong

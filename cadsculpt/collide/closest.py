@@ -18,7 +18,7 @@ from ..jit import njit
 from .grid import PatchGrid
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V, inside, newton
 from .spheres import fill_spheres
-from .workspace import Patch, Workspace, canonical, grown
+from .workspace import Patch, Search, Workspace, canonical, new_search
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -90,25 +90,34 @@ def project(
     near (to `tie`) as the one of a patch before, and in the same place, is on their common edge: the normals are added
     (the pseudo-normal of that edge) and the state becomes PROPER, for the edge is no border then.
     """
+    project_in(g, new_search(g), points, group, len(group) - 1, tie, beyond, patch, best, state, owner)
+
+
+@njit
+def project_in(
+    g: Patch, search: Search, points: Array, group: Index, groups: int, tie: float, beyond: float, patch: int, best: Array,
+    state: Index, owner: Index,
+) -> None:  # fmt: skip
+    """The same for the first `groups` groups, in room that is given."""
     tick, last = g.tick, len(g.offset) - 2
     spheres, stamp, offset, tally, covers = g.spheres, g.sphere_stamp, g.offset, g.tally, g.covers
     row_u, row_v, child_u, child_v, box = g.row_u, g.row_v, g.child_u, g.child_v, g.box
     spans, across = tally[0, 0] * tally[0, 1], tally[0, 1]
-    here = np.empty((max(64, spans), 3), np.int64)
-    there = np.empty((256, 3), np.int64)
-    final = np.empty((256, 3), np.int64)
+    here, there, final, table, found, mine, h, scratch, c, starts = (
+        search.here, search.there, search.final, search.table, search.found, search.mine, search.h, search.scratch,
+        search.centre, search.starts,
+    )  # fmt: skip
+    best_kind = PROPER
     for k in range(spans):
         here[k, 0], here[k, 1], here[k, 2] = 0, k // across, k % across
     fill_spheres(g, here, spans)
-    found, mine, best_kind = np.empty(9), np.empty(9), PROPER
-    scratch = np.empty((9, max(g.degree_u, g.degree_v) + 4))
-    h = np.empty((6, 4))
-    c = np.empty(3)
-    table = np.empty((64, 21))
-    u, v, grid_points = g.u, g.v, g.points
-    starts = np.empty(ATTEMPTS, np.int64)
+    u, v, grid_points, m, n = g.u, g.v, g.points, len(g.u), len(g.v)
+    net, knots_u, knots_v, degree_u, degree_v, rational, wrap_u, wrap_v, poles, slack, flip = (
+        g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.poles, g.slack, g.flip,
+    )  # fmt: skip
+    frames, terms, terms_stamp = g.frames, g.terms, g.terms_stamp
     px, py, pz, last_u, last_v = 0.0, 0.0, 0.0, 0.0, 0.0
-    for gi in range(len(group) - 1):
+    for gi in range(groups):
         lo, hi = group[gi], group[gi + 1]
         # the group's sphere
         cap = 0.0
@@ -135,13 +144,6 @@ def project(
         finals = 0
         for level in range(1, last + 1):
             fresh, missing = 0, 0
-            most = 1
-            for t in range(count):
-                across_u = child_u[level - 1, here[t, 1] + 1] - child_u[level - 1, here[t, 1]]
-                across_v = child_v[level - 1, here[t, 2] + 1] - child_v[level - 1, here[t, 2]]
-                most = max(most, across_u * across_v)
-            while most * count > len(there):
-                there = grown(there)
             for t in range(count):
                 for ku in range(child_u[level - 1, here[t, 1]], child_u[level - 1, here[t, 1] + 1]):
                     for kv in range(child_v[level - 1, here[t, 2]], child_v[level - 1, here[t, 2] + 1]):
@@ -156,10 +158,6 @@ def project(
             for t in range(fresh):
                 at = offset[level] + there[t, 1] * tally[level, 1] + there[t, 2]
                 upper = min(upper, gap(spheres, at, c) + spheres[at, 3])
-            while len(here) < fresh:
-                here = grown(here)
-            while len(final) < finals + fresh:
-                final = grown(final)
             count = 0
             for t in range(fresh):
                 ku, kv = there[t, 1], there[t, 2]
@@ -175,28 +173,19 @@ def project(
                     count += 1
         if finals == 0:
             continue
-        # the candidates' middles, radii, (u, v) ranges, corners, and whether they lie on a border
-        while len(table) < finals:
-            table = np.empty((2 * len(table), 21))
+        # the candidates' middles and radii, and whether they lie on a border
         for t in range(finals):
             level, ku, kv = final[t, 0], final[t, 1], final[t, 2]
             at = offset[level] + ku * tally[level, 1] + kv
-            for a in range(3):
+            for a in range(4):
                 table[t, a] = spheres[at, a]
-            table[t, 3] = spheres[at, 3]
-            border_u = not g.wrap_u and (ku == 0 or ku == tally[level, 0] - 1)
-            border_v = not g.wrap_v and (kv == 0 or kv == tally[level, 1] - 1)
-            table[t, 20] = border_u or border_v
-            table[t, 4], table[t, 5] = u[row_u[level, ku]], u[row_u[level, ku + 1]]
-            table[t, 6], table[t, 7] = v[row_v[level, kv]], v[row_v[level, kv + 1]]
-            for e in range(4):
-                i, j = row_u[level, ku + (e & 1)], row_v[level, kv + (e >> 1)]
-                k = canonical(i, j, len(u), len(v), g.wrap_u, g.wrap_v, g.poles)
-                for a in range(3):
-                    table[t, 8 + 3 * e + a] = grid_points[k, a]
+            border_u = not wrap_u and (ku == 0 or ku == tally[level, 0] - 1)
+            border_v = not wrap_v and (kv == 0 or kv == tally[level, 1] - 1)
+            table[t, 4] = border_u or border_v
         warm = False
-        for i in range(lo, hi):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        # the middle of a group first: how near it is leaves fewer candidates to its points
+        for i in range(lo - 1 if hi - lo > 1 else lo, hi):
+            x, y, z = (points[i, 0], points[i, 1], points[i, 2]) if i >= lo else (c[0], c[1], c[2])
             reached = np.inf
             for attempt in range(ATTEMPTS):
                 chosen = -1
@@ -205,8 +194,8 @@ def project(
                     if not warm:
                         continue
                     du, dv = along(h, x - px, y - py, z - pz)
-                    found[U] = inside(found[U] + du, u[0], u[len(u) - 1], g.wrap_u)
-                    found[V] = inside(found[V] + dv, v[0], v[len(v) - 1], g.wrap_v)
+                    found[U] = inside(found[U] + du, u[0], u[len(u) - 1], wrap_u)
+                    found[V] = inside(found[V] + dv, v[0], v[len(v) - 1], wrap_v)
                 else:
                     # from the nearest cell that may hold something nearer; of cells tried already, or beside the one in
                     # which Newton came out, only from a corner that is nearer
@@ -214,22 +203,25 @@ def project(
                     for t in range(finals):
                         dx, dy, dz = table[t, 0] - x, table[t, 1] - y, table[t, 2] - z
                         d2 = dx * dx + dy * dy + dz * dz
-                        r2, border = table[t, 3] * table[t, 3], table[t, 20] != 0.0
+                        r2, border = table[t, 3] * table[t, 3], table[t, 4] != 0.0
                         if d2 > (reached * reached + SHEET * r2 if not border else (reached + table[t, 3]) ** 2):
                             continue
-                        out_u = max(table[t, 4] - last_u, last_u - table[t, 5]) / (table[t, 5] - table[t, 4])
-                        out_v = max(table[t, 6] - last_v, last_v - table[t, 7]) / (table[t, 7] - table[t, 6])
-                        known = reached < np.inf and out_u <= 1.0 and out_v <= 1.0
+                        level, ku, kv = final[t, 0], final[t, 1], final[t, 2]
+                        i0, i1, j0, j1 = row_u[level, ku], row_u[level, ku + 1], row_v[level, kv], row_v[level, kv + 1]
+                        ua, ub, va, vb = u[i0], u[i1], v[j0], v[j1]
+                        out_u, out_v = max(ua - last_u, last_u - ub), max(va - last_v, last_v - vb)
+                        known = reached < np.inf and out_u <= ub - ua and out_v <= vb - va
                         for a in range(1, attempt):
                             known = known or starts[a] == t
-                        start_u, start_v = 0.5 * (table[t, 4] + table[t, 5]), 0.5 * (table[t, 6] + table[t, 7])
+                        start_u, start_v = 0.5 * (ua + ub), 0.5 * (va + vb)
                         if known or border:
                             d2 = np.inf
                             for e in range(4):
-                                dx, dy, dz = table[t, 8 + 3 * e] - x, table[t, 9 + 3 * e] - y, table[t, 10 + 3 * e] - z
+                                k = canonical(i1 if e & 1 else i0, j1 if e & 2 else j0, m, n, wrap_u, wrap_v, poles)
+                                dx, dy, dz = grid_points[k, 0] - x, grid_points[k, 1] - y, grid_points[k, 2] - z
                                 if dx * dx + dy * dy + dz * dz < d2:
                                     d2 = dx * dx + dy * dy + dz * dz
-                                    start_u, start_v = table[t, 4 + (e & 1)], table[t, 6 + (e >> 1)]
+                                    start_u, start_v = ub if e & 1 else ua, vb if e & 2 else va
                             if d2 >= reached * reached + (0.0 if known else r2):
                                 continue
                         if d2 < nearest:
@@ -239,18 +231,30 @@ def project(
                         break
                 starts[attempt] = chosen
                 kind = newton(
-                    g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.poles,
-                    g.slack, g.flip * beyond, x, y, z, found, h, scratch,
+                    net, knots_u, knots_v, degree_u, degree_v, rational, wrap_u, wrap_v, poles, slack,
+                    flip * (beyond if i >= lo else np.inf), x, y, z, found, h, scratch, frames, terms, terms_stamp, tick,
                 )  # fmt: skip
                 warm, px, py, pz = True, x, y, z
                 if found[DISTANCE] < reached:
                     reached, last_u, last_v, best_kind = found[DISTANCE], found[U], found[V], kind
                     for a in range(9):
                         mine[a] = found[a]
-            # once for this patch, however often Newton came to the same point
-            if reached < np.inf:
+            if i < lo:
+                left = 0
+                for t in range(finals):
+                    away = max(gap(table, t, c) - rho, 0.0)
+                    least, r = reached + rho, table[t, 3]
+                    if away * away <= (least * least + SHEET * r * r if table[t, 4] == 0.0 else (least + r) ** 2):
+                        for a in range(5):
+                            table[left, a] = table[t, a]
+                        for a in range(3):
+                            final[left, a] = final[t, a]
+                        left += 1
+                finals = left
+            elif reached < np.inf:
+                # once for this patch, however often Newton came to the same point
                 for a in range(3):
-                    mine[NORMAL + a] *= g.flip
+                    mine[NORMAL + a] *= flip
                 merge(mine, best_kind, patch, tie, i, best, state, owner)
 
 

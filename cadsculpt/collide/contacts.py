@@ -6,10 +6,13 @@ the normal points out of a's material; depth is positive when b is inside a; for
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..jit import njit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -54,6 +57,15 @@ class Contacts:
         i, x, p = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3))
         return cls(i, i, i, x, x, p, p, x, x, p, i, x, x)
 
+    @property
+    def columns(self) -> Columns:
+        """The arrays as kernels take them."""
+        return Columns(*(getattr(self, name) for name in Columns._fields))
+
+    def copy(self) -> Contacts:
+        """The same in arrays of their own."""
+        return Contacts(*(getattr(self, f.name).copy() for f in fields(self)))
+
     def chosen(self, which: Index | Mask) -> Contacts:
         """Some of them: those of a mask (n,), or these rows."""
         return Contacts(*(getattr(self, f.name)[which] for f in fields(self)))
@@ -71,3 +83,94 @@ class Contacts:
         columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)}
         order = np.lexsort([columns[key] for key in KEYS])
         return cls(**{key: np.ascontiguousarray(value[order]) for key, value in columns.items()})
+
+
+class Columns(NamedTuple):
+    """Room for contacts, as kernels see it; the fields are those of `Contacts`."""
+
+    a: Index
+    b: Index
+    face: Index
+    u: Array
+    v: Array
+    point: Array
+    normal: Array
+    depth: Array
+    area: Array
+    tool_point: Array
+    tool_face: Index
+    tool_u: Array
+    tool_v: Array
+
+
+def _columns(room: int) -> Columns:
+    """Room for so many contacts; memory that nothing is written to is not taken from the machine."""
+
+    def whole() -> Index:
+        return np.empty(room, dtype=np.int64)
+
+    def row() -> Array:
+        return np.empty(room)
+
+    def rows() -> Array:
+        return np.empty((room, 3))
+
+    return Columns(
+        whole(), whole(), whole(), row(), row(), rows(), rows(), row(), row(), rows(), whole(), row(), row()
+    )  # fmt: skip
+
+
+@dataclass(slots=True, eq=False)
+class ContactBuffer:
+    """Contacts one behind the other, in arrays that are kept from step to step and only grow."""
+
+    columns: Columns = field(default_factory=lambda: _columns(0))
+    count: int = 0
+
+    def reserve(self, more: int) -> Columns:
+        """The columns with room for so many more rows behind those that are there."""
+        if self.count + more > len(self.columns.a):
+            longer = _columns(2 * (self.count + more))
+            for old, new in zip(self.columns, longer, strict=True):
+                new[: self.count] = old[: self.count]
+            self.columns = longer
+        return self.columns
+
+    def append(self, contacts: Contacts) -> None:
+        """Put these behind those that are there."""
+        count = len(contacts)
+        for f, column in zip(fields(contacts), self.reserve(count), strict=True):
+            column[self.count : self.count + count] = getattr(contacts, f.name)
+        self.count += count
+
+    def view(self, start: int = 0) -> Contacts:
+        """The rows from `start` on: valid until the buffer is written to again."""
+        return Contacts(*(column[start : self.count] for column in self.columns))  # type: ignore[arg-type]
+
+    def sort(self, start: int = 0) -> None:
+        """Bring the rows from `start` on into the fixed order; nothing where they are."""
+        if not sorted_rows(self.columns, start, self.count):
+            rows = self.view(start)
+            ordered = rows.chosen(np.lexsort([getattr(rows, key) for key in KEYS]))
+            self.count = start
+            self.append(ordered)
+
+
+@njit
+def sorted_rows(rows: Columns, start: int, stop: int) -> bool:
+    """The rows from start to stop are in the order (a, b, face, u, v)."""
+    a, b, face, u, v = rows.a, rows.b, rows.face, rows.u, rows.v
+    for t in range(start + 1, stop):
+        if a[t] != a[t - 1]:
+            before = a[t - 1] < a[t]
+        elif b[t] != b[t - 1]:
+            before = b[t - 1] < b[t]
+        elif face[t] != face[t - 1]:
+            before = face[t - 1] < face[t]
+        elif u[t] != u[t - 1]:
+            before = u[t - 1] < u[t]
+        else:
+            before = v[t - 1] <= v[t]
+        if not before:
+            return False
+    return True

@@ -18,11 +18,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .contacts import Contacts
+from .contacts import ContactBuffer
 from .field_contacts import field_contacts
 from .grid import PatchGrid
 from .point_contacts import point_contacts
 from .query import (
+    NO_CROSSINGS,
     BoundedField,
     Counters,
     Crossings,
@@ -32,10 +33,12 @@ from .query import (
     DistanceField,
     FieldTool,
     PointTool,
+    RigidSurfaceTool,
     Run,
     SurfaceTool,
     Undecided,
 )
+from .shape_contacts import shape_contacts
 from .surface_contacts import surface_contacts
 
 __all__ = [
@@ -49,6 +52,7 @@ __all__ = [
     "FieldTool",
     "PatchGrid",
     "PointTool",
+    "RigidSurfaceTool",
     "SurfaceTool",
     "Undecided",
     "detect",
@@ -60,31 +64,44 @@ Array = NDArray[np.float64]
 def detect(
     grids: Sequence[PatchGrid],
     nets: Sequence[Array],
-    tools: Sequence[FieldTool | PointTool | SurfaceTool],
+    tools: Sequence[FieldTool | PointTool | SurfaceTool | RigidSurfaceTool],
     options: DetectOptions,
     *,
     body: int = 0,
     cache: DetectCache | None = None,
+    faces: Sequence[int] | None = None,
+    others: Sequence[int] | None = None,
+    into: ContactBuffer | None = None,
 ) -> Detection:
     """Contacts of one body's patches, over control points nets[i] (r, s, 3), with tools.
 
-    In the result a is `body`, b the tool's place in `tools`, face the patch's in `grids`. Raises GeometryError for
-    control points, InputError for a tool, that are not finite.
+    In the result a is `body`, b the tool's place in `tools`, face the patch's in `grids`, or what `others` and `faces` say for
+    them. into : a buffer, behind whose rows the contacts are put; those of the result are then a view of it, valid until
+    the next detection into it, and nothing is allocated once it and the cache are warm. Raises GeometryError for control
+    points, InputError for a tool, that are not finite.
     """
     cache = DetectCache() if cache is None else cache
     cache.counters[:] = 0
-    run = Run(grids, nets, options, cache, body, cache.boxes(-1, nets, "model"))
-    contacts, crossings = [], []
+    out = ContactBuffer() if into is None else into
+    start = out.count
+    boxes = cache.boxes(-1, nets, "model")
+    faces, others = range(len(grids)) if faces is None else faces, range(len(tools)) if others is None else others
+    run = Run(grids, nets, options, cache, body, boxes, out, faces, others)
+    crossings = []
     for index, tool in enumerate(tools):
         if isinstance(tool, FieldTool):
-            contacts += field_contacts(run, index, tool)
+            if tool.shape is not None and not run.paper:
+                shape_contacts(run, index, tool, tool.shape)
+            else:
+                field_contacts(run, index, tool)
         elif isinstance(tool, PointTool):
-            contacts += point_contacts(run, index, tool)
+            point_contacts(run, index, tool)
         else:
-            found, crossed = surface_contacts(run, index, tool)
-            contacts += found
-            crossings += crossed
-    # parts come in the order of tools and faces, each in that of (u, v): one alone needs no sorting
-    joined = contacts[0] if len(contacts) == 1 else Contacts.joined(contacts)
-    counters = Counters(*(int(c) for c in cache.counters))
-    return Detection(joined, counters, Crossings.joined(crossings), tuple(run.undecided))
+            crossings += surface_contacts(run, index, tool)
+    # they come in the order of tools and faces, each in that of (u, v), as a rule
+    out.sort(start)
+    counters = Counters(*cache.counters.tolist())
+    contacts = out.view(start) if into is not None else out.view(start).copy()
+    return Detection(
+        contacts, counters, Crossings.joined(crossings) if crossings else NO_CROSSINGS, tuple(run.undecided)
+    )

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from . import hull, levels, quadrature
-from .contacts import Contacts
 from .query import BoundedField, DistanceField, FieldTool, Run, finest_size, lower_bound
 from .workspace import Patch, Workspace
 
@@ -16,38 +15,43 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
-def field_contacts(run: Run, index: int, tool: FieldTool) -> list[Contacts]:
+def field_contacts(run: Run, index: int, tool: FieldTool) -> None:
     """Implicit Surface Tool (4.9.1): the points generated in the window go into the tool's equation."""
     box = np.asarray(tool.field.box(), dtype=np.float64)
     if np.isnan(box).any():
         raise InputError("the tool's box is not a number", where=f"tool {index}")
-    parts = []
-    for face in run.near(box[0], box[1], run.options.margin):
-        work, g = run.model(int(face))
+    margin = run.options.margin
+    for face in run.near(box[0], box[1], margin).tolist():
+        work, g = run.model(face)
         cells = _field_cells(run, g, work, tool.field)
         if not len(cells):
             continue
-        margin = run.options.margin
         names = np.sort(levels.vertices_of(g, cells, work.new_mark()))
         depth, hit = _depths(tool.field, g.points[names], margin)
         if hit.any():
             uv, points, area = quadrature.vertex_rows(g, names[hit])
-            parts.append(_field_rows(run, index, int(face), tool.field, uv, points, depth[hit], area))
+            _put_rows(run, index, face, tool.field, uv, points, depth[hit], area)
         if run.paper:
             continue
         # cells that the tool may reach between the vertices, away from those it is known to touch
-        left = quadrature.unresolved(g, cells, margin, names, depth, work.new_mark())
-        if len(left):
-            distance, region = tool.field.distance, run.grids[face].region
-            bound = tool.field.bound if isinstance(tool.field, BoundedField) else distance
-            uv, points, area, undecided = quadrature.below_grid(
-                g, left, bound, distance, margin, finest_size(run, g), region
-            )
-            run.give_up(index, int(face), undecided)
-            if len(uv):
-                depth = -tool.field.distance(points)
-                parts.append(_field_rows(run, index, int(face), tool.field, uv, points, depth, area))
-    return parts
+        below_vertices(
+            run, index, face, tool.field, quadrature.unresolved(g, cells, margin, names, depth, work.new_mark())
+        )
+
+
+def below_vertices(run: Run, index: int, face: int, field: DistanceField, cells: Index) -> None:
+    """Contacts between the vertices of finest cells (n, 2) that the tool may reach."""
+    if not len(cells):
+        return
+    _, g = run.model(face)
+    distance = field.distance
+    bound = field.bound if isinstance(field, BoundedField) else distance
+    uv, points, area, undecided = quadrature.below_grid(
+        g, cells, bound, distance, run.options.margin, finest_size(run, g), run.grids[face].region
+    )
+    run.give_up(index, face, undecided)
+    if len(uv):
+        _put_rows(run, index, face, field, uv, points, -distance(points), area)
 
 
 def _field_cells(run: Run, g: Patch, work: Workspace, tool: DistanceField) -> Index:
@@ -84,7 +88,7 @@ def _depths(field: DistanceField, points: Array, margin: float) -> tuple[Array, 
     return depth, hit
 
 
-def _field_rows(
+def _put_rows(
     run: Run, index: int, face: int, tool: DistanceField, uv: Array, points: Array, depth: Array, area: Array
-) -> Contacts:
-    return run.rows(index, face, uv, points, -tool.gradient(points), depth, area, tool.nearest(points))
+) -> None:
+    run.out.append(run.rows(index, face, uv, points, -tool.gradient(points), depth, area, tool.nearest(points)))

@@ -38,6 +38,8 @@ class PatchGrid:
     spans) its rows, and for each cell the first of its children on the next level; likewise v. tally (levels, 2),
     offset (levels + 1,) : cells along u and v, and where each level starts in arrays over all cells. covers : whether a
     cell holds a piece of the face, with or without a vertex in it. spans (k, 3) : the cells of level 0 that do.
+    frames (2, spans, 2 + (degree + 1)^2) : for every interval of knots along u and v its middle, 2 over its length, and the
+    matrix from its control points to Taylor's series about the middle in parts of half the length.
     """
 
     surface: BSplineSurface
@@ -60,6 +62,7 @@ class PatchGrid:
     knots_u: Array
     knots_v: Array
     weights: Array
+    frames: Array
 
     @classmethod
     def of(cls, surface: BSplineSurface, resolution: int | tuple[int, int]) -> PatchGrid:
@@ -139,6 +142,7 @@ class PatchGrid:
             knots_u=np.array(surface.knots_u),
             knots_v=np.array(surface.knots_v),
             weights=np.ones(surface.shape) if surface.weights is None else np.array(surface.weights),
+            frames=_frames(surface),
         )
 
     @property
@@ -165,6 +169,25 @@ def _matrices(surface: BSplineSurface, cells: tuple[int, int]) -> Transformation
         parts.append((t, start, first, rows, dense))
     (u, su, fu, ru, du), (v, sv, fv, rv, dv) = parts
     return TransformationMatrices(u, v, du[0], dv[0], du[1], dv[1], fu, fv, ru, rv, su, sv)
+
+
+def _frames(surface: BSplineSurface) -> Array:
+    """The `frames` of `PatchGrid`; of an interval without length, zeros."""
+    r, s = surface.shape
+    p, q = surface.degree_u, surface.degree_v
+    out = np.zeros((2, max(r - p, s - q), 2 + (max(p, q) + 1) ** 2))
+    for axis, (knots, degree, count) in enumerate(((surface.knots_u, p, r), (surface.knots_v, q, s))):
+        low, high = knots[degree:count], knots[degree + 1 : count + 1]
+        long = np.flatnonzero(high > low)
+        middle, half = 0.5 * (low[long] + high[long]), 0.5 * (high[long] - low[long])
+        first, rows = np.empty(len(long), dtype=np.int64), np.empty((degree + 1, len(long), degree + 1))
+        design_rows(knots, degree, count, middle, degree, first, rows)
+        scale = np.cumprod(np.concatenate([np.ones((1, len(long))), half / np.arange(1, degree + 1)[:, None]]), axis=0)
+        out[axis, long, 0], out[axis, long, 1] = middle, 1.0 / half
+        out[axis, long, 2 : 2 + (degree + 1) ** 2] = (
+            (rows * scale[:, :, None]).transpose(1, 0, 2).reshape(len(long), -1)
+        )
+    return out
 
 
 def _rows(surface: BSplineSurface, axis: int, total: int) -> tuple[Array, Index]:

@@ -53,66 +53,107 @@ def refine(g: Patch, cells: Index, distance: Array, margin: float) -> tuple[Inde
     is a NaN. Returns the children with their spheres' centres, and False; or, when the loop ends here, the cells kept
     themselves, and True.
     """
+    near = cells.copy()
+    kept, children = nearby(g, near, len(near), distance, margin)
+    if children == 0:
+        return near[:kept], np.zeros((0, 3)), True
+    out = np.empty((children, 3), np.int64)
+    count = split_cells(g, near, kept, out)
+    return out[:count], make_spheres(g, out, count)[0], False
+
+
+@njit
+def nearby(g: Patch, cells: Index, count: int, distance: Array, margin: float) -> tuple[int, int]:
+    """Drop those of cells[:count], of one level, whose spheres stay away from the tool; how many are left, in front, and
+    at most how many children they have: 0 where the loop of 4.5 ends with them."""
     g.counters[8] += 1
-    g.counters[4] += len(cells)
+    g.counters[4] += count
     level, last = cells[0, 0], len(g.offset) - 2
-    offset, across, spheres, covers = g.offset[level], g.tally[level, 1], g.spheres, g.covers
+    offset, across, spheres = g.offset[level], g.tally[level, 1], g.spheres
     row_u, row_v, child_u, child_v = g.row_u, g.row_v, g.child_u, g.child_v
-    near = np.empty((len(cells), 3), np.int64)
     kept, most, children = 0, 0, 1
-    for t in range(len(cells)):
+    for t in range(count):
         ku, kv = cells[t, 1], cells[t, 2]
         at = offset + ku * across + kv
         if not distance[t] > spheres[at, 3] + margin:
-            near[kept, 0], near[kept, 1], near[kept, 2] = level, ku, kv
+            cells[kept, 0], cells[kept, 1], cells[kept, 2] = level, ku, kv
             kept += 1
             most = max(most, row_u[level, ku + 1] - row_u[level, ku], row_v[level, kv + 1] - row_v[level, kv])
             children = max(
                 children, (child_u[level, ku + 1] - child_u[level, ku]) * (child_v[level, kv + 1] - child_v[level, kv])
             )
-    all_met = level > 0 and kept == len(cells)
+    all_met = level > 0 and kept == count
     if g.paper:
         ended = level == last or all_met
     else:
         ended = most <= (ALL_MET_ROWS if all_met else LAST_ROWS)
-    if ended or kept == 0:
-        return near[:kept], np.zeros((0, 3)), True
-    out = np.empty((children * kept, 3), np.int64)
-    count = 0
-    offset, across = g.offset[level + 1], g.tally[level + 1, 1]
-    for t in range(kept):
-        for ku in range(child_u[level, near[t, 1]], child_u[level, near[t, 1] + 1]):
-            for kv in range(child_v[level, near[t, 2]], child_v[level, near[t, 2] + 1]):
+    return kept, 0 if ended else children * kept
+
+
+@njit
+def split_cells(g: Patch, cells: Index, count: int, out: Index) -> int:
+    """The children of cells[:count], of one level, into out (n, 3); how many they are."""
+    level = cells[0, 0]
+    offset, across, covers = g.offset[level + 1], g.tally[level + 1, 1], g.covers
+    child_u, child_v = g.child_u, g.child_v
+    found = 0
+    for t in range(count):
+        for ku in range(child_u[level, cells[t, 1]], child_u[level, cells[t, 1] + 1]):
+            for kv in range(child_v[level, cells[t, 2]], child_v[level, cells[t, 2] + 1]):
                 if covers[offset + ku * across + kv]:
-                    out[count, 0], out[count, 1], out[count, 2] = level + 1, ku, kv
-                    count += 1
-    out = out[:count]
-    return out, make_spheres(g, out, count)[0], False
+                    out[found, 0], out[found, 1], out[found, 2] = level + 1, ku, kv
+                    found += 1
+    return found
 
 
 @njit
 def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
     """Flat names of all finest vertices on the face that the cells hold and that do not carry `mark` in g.visit yet;
     they get it, and their points are made."""
-    row_u, row_v, visit, on_face, m, n = g.row_u, g.row_v, g.visit, g.inside, len(g.u), len(g.v)
-    wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
-    names = np.empty((256, 1), np.int64)
-    count = 0
+    row_u, row_v = g.row_u, g.row_v
+    most = 0
     for t in range(len(cells)):
         level, ku, kv = cells[t, 0], cells[t, 1], cells[t, 2]
-        i0, i1, j0, j1 = row_u[level, ku], row_u[level, ku + 1], row_v[level, kv], row_v[level, kv + 1]
-        while count + (i1 - i0 + 1) * (j1 - j0 + 1) > len(names):
-            names = grown(names)
-        for i in range(i0, i1 + 1):
-            for j in range(j0, j1 + 1):
+        most += (row_u[level, ku + 1] - row_u[level, ku] + 1) * (row_v[level, kv + 1] - row_v[level, kv] + 1)
+    names = np.empty(min(most, len(g.visit)), np.int64)
+    count = mark_vertices(g, cells, len(cells), mark, names)
+    make_points(g, names, count)
+    return names[:count].copy()
+
+
+@njit
+def mark_vertices(g: Patch, cells: Index, cells_count: int, mark: int, names: Index) -> int:
+    """Mark the finest vertices on the face that cells[:cells_count] hold in g.visit; those that did not carry the mark
+    into `names`, and how many they are."""
+    row_u, row_v, visit, on_face, m, n = g.row_u, g.row_v, g.visit, g.inside, len(g.u), len(g.v)
+    wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
+    count = 0
+    for t in range(cells_count):
+        level, ku, kv = cells[t, 0], cells[t, 1], cells[t, 2]
+        for i in range(row_u[level, ku], row_u[level, ku + 1] + 1):
+            for j in range(row_v[level, kv], row_v[level, kv + 1] + 1):
                 k = canonical(i, j, m, n, wrap_u, wrap_v, poles)
                 if visit[k] != mark and on_face[k]:
                     visit[k] = mark
-                    names[count, 0] = k
+                    names[count] = k
                     count += 1
-    found = names[:count, 0].copy()
-    make_points(g, found, count)
-    return found
+    return count
+
+
+@njit
+def in_order(g: Patch, names: Index, count: int, mark: int) -> None:
+    """Sort names[:count], all of which carry `mark` in g.visit and no other vertex does."""
+    n, visit = len(g.v), g.visit
+    i0, i1, j0, j1 = len(g.u), -1, n, -1
+    for t in range(count):
+        i, j = names[t] // n, names[t] % n
+        i0, i1, j0, j1 = min(i0, i), max(i1, i), min(j0, j), max(j1, j)
+    found = 0
+    for i in range(i0, i1 + 1):
+        for k in range(i * n + j0, i * n + j1 + 1):
+            if visit[k] == mark:
+                names[found] = k
+                found += 1
 
 
 @njit

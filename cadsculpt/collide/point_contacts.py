@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from . import levels
 from .closest import NOTHING, project
-from .contacts import Contacts
 from .newton import BORDER, DISTANCE, NORMAL, POINT, U, V
 from .query import PointTool, Run, on_face
 from .rim import closest_on_faces
@@ -18,7 +17,7 @@ from .surface_contacts import EDGE
 Array = NDArray[np.float64]
 
 
-def point_contacts(run: Run, index: int, tool: PointTool) -> list[Contacts]:
+def point_contacts(run: Run, index: int, tool: PointTool) -> None:
     """Point-based Tool (4.9.2): the model's cells nearest to the point, and there its closest point on the surface."""
     position = np.asarray(tool.position, dtype=np.float64).reshape(3)
     if not np.isfinite(position).all():
@@ -38,19 +37,17 @@ def point_contacts(run: Run, index: int, tool: PointTool) -> list[Contacts]:
         best, state, owner = closest_on_faces(grids, patches, position[None], EDGE * size)
         owner = near[owner]
     if state[0] in (NOTHING, BORDER):
-        return []
+        return
     point, total = best[:, POINT : POINT + 3], best[:, NORMAL : NORMAL + 3]
     normal = total / np.linalg.norm(total)
     depth = -np.sign(((position - point) * normal).sum(axis=1)) * best[:, DISTANCE]
     if depth[0] > tool.reach:
-        return []
+        return
     if run.paper and not _in_sphere(run, int(owner[0]), position):
-        return []
-    return [
-        run.rows(
-            index, int(owner[0]), best[:, [U, V]], point, normal, depth, np.array([float(tool.area)]), position[None]
-        )
-    ]
+        return
+    face = int(owner[0])
+    area = np.array([float(tool.area)])
+    run.out.append(run.rows(index, face, best[:, [U, V]], point, normal, depth, area, position[None]))
 
 
 def _in_sphere(run: Run, face: int, position: Array) -> bool:

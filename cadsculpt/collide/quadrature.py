@@ -81,16 +81,27 @@ def in_grid(c: int, cells: int, wrap: bool) -> int:
 @njit
 def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
     """Parameters (n, 2), points (n, 3) and areas (n,) of vertices."""
+    n, points, u, v = len(g.v), g.points, g.u, g.v
+    uv, out, area = np.empty((len(names), 2)), np.empty((len(names), 3)), np.empty(len(names))
+    make_points(g, names, len(names))
+    vertex_areas(g, names, len(names), area)
+    for t in range(len(names)):
+        k = names[t]
+        uv[t, 0], uv[t, 1] = u[k // n], v[k % n]
+        for x in range(3):
+            out[t, x] = points[k, x]
+    return uv, out, area
+
+
+@njit
+def vertex_areas(g: Patch, names: Index, count: int, area: Array) -> None:
+    """The areas that the vertices names[:count] stand for; those of the cells around are each made once per net."""
     tick, m, n = g.tick, len(g.u), len(g.v)
     wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
-    points, u, v, cell_area, stamp = g.points, g.u, g.v, g.cell_area, g.area_stamp
-    # the areas of the cells around, each made once per net
-    fresh = np.empty((64, 5), np.int64)
-    count = 0
-    for t in range(len(names)):
+    points, cell_area, stamp, corners, wanted = g.points, g.cell_area, g.area_stamp, g.corners, g.wanted
+    made = 0
+    for t in range(count):
         low_i, high_i, low_j, high_j, share = ring_of(names[t], m, n, poles)
-        while count + (high_i - low_i + 1) * (high_j - low_j + 1) > len(fresh):
-            fresh = grown(fresh)
         for a in range(low_i, high_i + 1):
             c = in_grid(a, m - 1, wrap_u)
             for b in range(low_j, high_j + 1):
@@ -99,19 +110,18 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
                     continue
                 stamp[c * n + d] = tick
                 for corner in range(4):
-                    fresh[count, corner] = canonical(c + (corner & 1), d + (corner >> 1), m, n, wrap_u, wrap_v, poles)
-                fresh[count, 4] = c * n + d
-                count += 1
-    make_points(g, fresh[:count, :4].copy().ravel(), 4 * count)
-    for s in range(count):
-        cell_area[fresh[s, 4]] = quad_area(points, fresh[s, 0], fresh[s, 1], fresh[s, 2], fresh[s, 3])
-    uv, out, area = np.empty((len(names), 2)), np.empty((len(names), 3)), np.empty(len(names))
-    for t in range(len(names)):
-        k = names[t]
-        uv[t, 0], uv[t, 1] = u[k // n], v[k % n]
-        for x in range(3):
-            out[t, x] = points[k, x]
-        low_i, high_i, low_j, high_j, share = ring_of(k, m, n, poles)
+                    corners[4 * made + corner] = canonical(
+                        c + (corner & 1), d + (corner >> 1), m, n, wrap_u, wrap_v, poles
+                    )  # fmt: skip
+                wanted[made] = c * n + d
+                made += 1
+    make_points(g, corners, 4 * made)
+    for s in range(made):
+        cell_area[wanted[s]] = quad_area(
+            points, corners[4 * s], corners[4 * s + 1], corners[4 * s + 2], corners[4 * s + 3]
+        )  # fmt: skip
+    for t in range(count):
+        low_i, high_i, low_j, high_j, share = ring_of(names[t], m, n, poles)
         total = 0.0
         for a in range(low_i, high_i + 1):
             c = in_grid(a, m - 1, wrap_u)
@@ -120,7 +130,6 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
                 if c >= 0 and d >= 0:
                     total += cell_area[c * n + d]
         area[t] = share * total
-    return uv, out, area
 
 
 @njit
@@ -175,22 +184,42 @@ def unresolved(g: Patch, cells: Index, margin: float, names: Index, depths: Arra
     its vertices is farther from the tool than from any point of the cell (its longest chord and its sag). mark : a
     number new to g.visit.
     """
+    row_u, row_v = g.row_u, g.row_v
+    most = 0
+    for t in range(len(cells)):
+        level, ku, kv = cells[t, 0], cells[t, 1], cells[t, 2]
+        most += (row_u[level, ku + 1] - row_u[level, ku]) * (row_v[level, kv + 1] - row_v[level, kv])
+    maybe = np.empty((most, 6), np.int64)
+    left = unresolved_cells(g, cells, len(cells), margin, names, depths, len(names), mark, maybe)
+    return maybe[:left, :2].copy()
+
+
+@njit
+def unresolved_cells(
+    g: Patch,
+    cells: Index,
+    cells_count: int,
+    margin: float,
+    names: Index,
+    depths: Array,
+    known: int,
+    mark: int,
+    maybe: Index,
+) -> int:
+    """The same of cells[:cells_count] with names[:known], into maybe (n, 6) columns 0 and 1; how many they are."""
     m, n, tick = len(g.u), len(g.v), g.tick
     wrap_u, wrap_v, poles = g.wrap_u, g.wrap_v, g.poles
     visit, depth, points, row_u, row_v = g.visit, g.depth, g.points, g.row_u, g.row_v
     stamp, span_u, span_v, bounds, bounds_stamp = g.point_stamp, g.span_u, g.span_v, g.bounds, g.bounds_stamp
-    ids = np.empty(4, np.int64)
-    maybe = np.empty((256, 6), np.int64)
+    ids = g.ids
     count = 0
-    for t in range(len(names)):
+    for t in range(known):
         depth[names[t]] = depths[t]
         visit[names[t]] = mark
     # vertices of touched cells get mark + 1, and so do those of all cells that are connected to these
-    for t in range(len(cells)):
+    for t in range(cells_count):
         level, ku, kv = cells[t, 0], cells[t, 1], cells[t, 2]
         i0, i1, j0, j1 = row_u[level, ku], row_u[level, ku + 1], row_v[level, kv], row_v[level, kv + 1]
-        while count + (i1 - i0) * (j1 - j0) > len(maybe):
-            maybe = grown(maybe)
         for i in range(i0, i1):
             for j in range(j0, j1):
                 reach2, farthest, touched, complete = 0.0, -np.inf, False, True
@@ -238,13 +267,12 @@ def unresolved(g: Patch, cells: Index, margin: float, names: Index, depths: Arra
                 for c in range(4):
                     visit[maybe[t, 2 + c]] = mark + 1
         forward = not forward
-    out = np.empty((left, 2), np.int64)
     total = 0
     for t in range(count):
         if maybe[t, 0] >= 0:
-            out[total, 0], out[total, 1] = maybe[t, 0], maybe[t, 1]
+            maybe[total, 0], maybe[total, 1] = maybe[t, 0], maybe[t, 1]
             total += 1
-    return out
+    return total
 
 
 @njit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from operator import is_
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..spline.region import OFF, ON
-from .broad import Extents, near_box
-from .contacts import Contacts
+from .broad import Extents, fill_near, near_box
+from .contacts import ContactBuffer, Contacts
 from .grid import PatchGrid
+from .shapes import PosedShape, into_frame
 from .workspace import Patch, Workspace
 
 Array = NDArray[np.float64]
@@ -59,9 +61,11 @@ def lower_bound(field: DistanceField, points: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldTool:
-    """A tool given by its signed distance."""
+    """A tool given by its signed distance. shape : the same as a formula that kernels know, where there is one; the
+    pipeline then runs in one piece."""
 
     field: DistanceField
+    shape: PosedShape | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +93,24 @@ class SurfaceTool:
     reach: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidSurfaceTool:
+    """B-spline patches over their own nets, where they stand: x_world = rotation @ x + at. Otherwise as `SurfaceTool`.
+
+    What is made of the patches is kept as long as the nets stay the same. Triangles that cross are not looked for.
+    """
+
+    grids: tuple[PatchGrid, ...]
+    rest: tuple[Array, ...]
+    at: Array
+    rotation: Array
+    reach: float = 0.0
+
+    def in_world(self) -> SurfaceTool:
+        """The same with its nets in the world."""
+        return SurfaceTool(self.grids, tuple(net @ self.rotation.T + self.at for net in self.rest), self.reach)
+
+
 @dataclass(frozen=True, slots=True)
 class DetectOptions:
     """mode : see the module. tolerance : cells whose triangles lie within it of the surface are not refined
@@ -107,7 +129,7 @@ class DetectOptions:
             raise InputError(f"collision mode {self.mode!r}", mend="use certified or paper")
         for name in ("tolerance", "delta", "margin"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
+            if not 0.0 <= value < math.inf:
                 raise InputError(f"a collision {name} of {value}", mend="give a number that is not negative")
 
 
@@ -166,6 +188,9 @@ class Crossings:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
+NO_CROSSINGS = Crossings.joined([])
+
+
 @dataclass(frozen=True, slots=True)
 class Undecided:
     """A tool so near a face between the grid's vertices, over so wide a piece of it, that the search was given up: a
@@ -184,7 +209,7 @@ class Detection:
 
     contacts: Contacts
     counters: Counters
-    crossings: Crossings = field(default_factory=lambda: Crossings.joined([]))
+    crossings: Crossings = field(default_factory=lambda: NO_CROSSINGS)
     undecided: tuple[Undecided, ...] = ()
 
 
@@ -202,11 +227,16 @@ class DetectCache:
     extents: dict[int, Extents] = field(default_factory=dict)
     grids: tuple[PatchGrid, ...] = ()
     fewest: int = 1
+    local: dict[tuple[int, int], Array] = field(default_factory=dict)
+    near: Index = field(default_factory=lambda: np.empty(0, np.int64))
+    box: Array = field(default_factory=lambda: np.empty((2, 3)))
 
     def boxes(self, key: int, nets: Sequence[Array], whose: str) -> Array:
         """Boxes (n, 2, 3) of nets: key is -1 for the model's, else the tool. Raises GeometryError for one that is not
         finite."""
-        return self.extents.setdefault(key, Extents()).of(nets, whose)
+        if key not in self.extents:
+            self.extents[key] = Extents()
+        return self.extents[key].of(nets, whose)
 
     def fewest_cells(self, grids: Sequence[PatchGrid]) -> int:
         """The fewest cells along a side of any of the grids."""
@@ -225,8 +255,8 @@ class DetectCache:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """One call of `detect`: what its parts share. extents (n, 2, 3) : boxes of the model's nets. undecided : filled by
-    them."""
+    """One call of `detect`: what its parts share. extents (n, 2, 3) : boxes of the model's nets. out, undecided : filled by
+    them. faces, others : what the contacts call the patches and the tools."""
 
     grids: Sequence[PatchGrid]
     nets: Sequence[Array]
@@ -234,6 +264,9 @@ class Run:
     cache: DetectCache
     body: int
     extents: Array
+    out: ContactBuffer
+    faces: Sequence[int]
+    others: Sequence[int]
     undecided: list[Undecided] = field(default_factory=list)
 
     @property
@@ -249,14 +282,32 @@ class Run:
 
     def cell_size(self, face: int) -> float:
         """About the diagonal of a finest cell of one of the model's patches."""
-        return float(np.linalg.norm(self.extents[face, 1] - self.extents[face, 0])) / max(
-            min(self.grids[face].shape) - 1, 1
-        )
+        return math.dist(*self.extents[face].tolist()) / max(min(self.grids[face].shape) - 1, 1)
+
+    def model_in_frame(self, face: int, tool: int, at: Array, turn: Array) -> tuple[Workspace, Patch]:
+        """A model's patch in the frame of a tool, x_world = turn x + at."""
+        net = self.nets[face]
+        local = self.cache.local.get((tool, face))
+        if local is None or local.shape != net.shape:
+            local = self.cache.local[tool, face] = np.empty(net.shape)
+        local[...] = net
+        into_frame(local, at, turn)
+        return self.load((-2 - tool, face), self.grids[face], local)
 
     def near(self, low: Array, high: Array, margin: float, *, felt: bool = False) -> Index:
         """The model's patches whose boxes come within the margin of a box; felt : and within the size of their cells."""
         self.cache.counters[0] += len(self.extents)
         return near_box(self.extents, low, high, margin, 1.0 / self.cache.fewest_cells(self.grids) if felt else 0.0)
+
+    def near_posed(self, margin: float, *, felt: bool = False) -> int:
+        """How many of the model's patches have boxes that come within the margin of `cache.box`, or with `felt` within the
+        size of their cells beside: the first in `cache.near`."""
+        cache = self.cache
+        if len(cache.near) < len(self.extents):
+            cache.near = np.empty(len(self.extents), np.int64)
+        cache.counters[0] += len(self.extents)
+        diagonals = 1.0 / cache.fewest_cells(self.grids) if felt else 0.0
+        return int(fill_near(self.extents, cache.box[0], cache.box[1], margin, diagonals, cache.near))
 
     def give_up(self, tool: int, face: int, depth: float) -> None:
         """Note that a contact up to `depth` deep may be missed; nothing where it is 0."""
@@ -288,7 +339,9 @@ class Run:
         if not keep.all():
             uv, point, normal, tool_point = uv[keep], point[keep], normal[keep], tool_point[keep]
             depth, area, tool_face, tool_uv = depth[keep], area[keep], tool_face[keep], tool_uv[keep]
-        a, b, c = (np.full(len(depth), value, dtype=np.int64) for value in (self.body, tool, face))
+        a, b, c = (
+            np.full(len(depth), value, dtype=np.int64) for value in (self.body, self.others[tool], self.faces[face])
+        )
         u, v, tool_u, tool_v = (np.ascontiguousarray(x) for x in (uv[:, 0], uv[:, 1], tool_uv[:, 0], tool_uv[:, 1]))
         return Contacts(a, b, c, u, v, point, normal, depth, area, tool_point, tool_face, tool_u, tool_v)
 

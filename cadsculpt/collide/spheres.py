@@ -154,9 +154,9 @@ def fill_spheres(g: Patch, cells: Index, count: int) -> None:
     spheres, stamp, offset, tally, box = g.spheres, g.sphere_stamp, g.offset, g.tally, g.box
     row_u, row_v, points, u, v = g.row_u, g.row_v, g.points, g.u, g.v
     bounds, bounds_stamp, span_u, span_v = g.bounds, g.bounds_stamp, g.span_u, g.span_v
-    last = len(offset) - 2
-    names = np.empty(4 * count, np.int64)
-    wanted = np.empty(count, np.int64)
+    wrap_u, wrap_v, poles, last = g.wrap_u, g.wrap_v, g.poles, len(offset) - 2
+    # corners of the cells to be made, and which these are
+    names, wanted, ids, scratch = g.corners, g.wanted, g.ids, g.work[0]
     made = 0
     for t in range(count):
         level, ku, kv = cells[t, 0], cells[t, 1], cells[t, 2]
@@ -177,19 +177,19 @@ def fill_spheres(g: Patch, cells: Index, count: int) -> None:
         j0, j1 = row_v[level, kv], row_v[level, kv + 1]
         for c in range(4):
             i, j = i1 if c & 1 else i0, j1 if c & 2 else j0
-            names[4 * made + c] = canonical(i, j, m, n, g.wrap_u, g.wrap_v, g.poles)
+            names[4 * made + c] = canonical(i, j, m, n, wrap_u, wrap_v, poles)
         wanted[made] = t
         made += 1
+    if made == 0:
+        return
     make_points(g, names, 4 * made)
-    scratch = np.empty(8)
-    ids = np.empty(4, np.int64)
     for k in range(made):
         level, ku, kv = cells[wanted[k], 0], cells[wanted[k], 1], cells[wanted[k], 2]
         at = offset[level] + ku * tally[level, 1] + kv
         sphere_of(points, names[4 * k], names[4 * k + 1], names[4 * k + 2], names[4 * k + 3], paper, ids, scratch)
-        radius, worth, bulge = scratch[3], 0.0, 0.0
         i0, i1 = row_u[level, ku], row_u[level, ku + 1]
         j0, j1 = row_v[level, kv], row_v[level, kv + 1]
+        radius, worth, bulge = scratch[3], 0.0, 0.0
         finest = level == last or (i1 - i0 == 1 and j1 - j0 == 1)
         if not paper:
             a, b = span_u[i0], span_v[j0]

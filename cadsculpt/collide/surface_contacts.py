@@ -3,26 +3,32 @@ their spheres meet, and the contacts found on the true surfaces."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from . import hull, levels, quadrature
 from .broad import near_box
 from .closest import project
-from .contacts import Contacts
+from .contacts import Columns
 from .crossing import cross, meet, positions
 from .grid import PatchGrid
 from .newton import BORDER, DISTANCE, NORMAL, POINT, PROPER, U, V
-from .query import Crossings, Run, SurfaceTool, finest_size, on_face
+from .query import Crossings, RigidSurfaceTool, Run, SurfaceTool, finest_size, on_face
 from .rim import closest_on_faces, faces_box, outside_box
+from .shapes import world_box
+from .surface_rows import surface_rows
 from .workspace import Patch, Workspace, make_points
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+
+ORIGIN, UNTURNED = np.zeros(3), np.eye(3)
 
 EDGE = 1e-5
 """Two tool patches share an edge where their closest points agree to this fraction of the tool's size (CAD's own
@@ -33,12 +39,15 @@ FARTHER = 0.9
 are found, hold nothing nearer."""
 
 
-def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Contacts], list[Crossings]]:
+def surface_contacts(run: Run, index: int, tool: SurfaceTool | RigidSurfaceTool) -> list[Crossings]:
     """B-spline tools (4.3 to 4.7): both sides are discretized and refined together."""
+    if len(tool.grids) == 1 and tool.grids[0].region is None and not run.paper:
+        return _one_patch_contacts(run, index, tool)
+    if isinstance(tool, RigidSurfaceTool):
+        tool = tool.in_world()
     extents = run.cache.boxes(index, tool.nets, f"tool {index}")
     low, high = extents[:, 0].min(axis=0), extents[:, 1].max(axis=0)
     size = float(np.linalg.norm(high - low))
-    contacts: list[Contacts] = []
     crossings: list[Crossings] = []
     reach, alone = max(run.options.margin, tool.reach), len(tool.nets) == 1
     for face in run.near(low, high, reach, felt=alone).tolist():
@@ -68,8 +77,95 @@ def surface_contacts(run: Run, index: int, tool: SurfaceTool) -> tuple[list[Cont
             return run.load((index, k), tool.grids[k], tool.nets[k])[1]
 
         solid = _Solid(tool.grids, patch, extents, EDGE * size, run.options.margin)
-        contacts += _closest_contacts(run, index, face, solid, work, cells)
-    return contacts, crossings
+        _closest_contacts(run, index, face, solid, work, cells)
+    return crossings
+
+
+def _one_patch_contacts(run: Run, index: int, tool: SurfaceTool | RigidSurfaceTool) -> list[Crossings]:
+    """A tool of one whole patch, in its own frame where it has one, so that what is made of it need not be made again."""
+    if isinstance(tool, RigidSurfaceTool):
+        net, at, turn = tool.rest[0], tool.at, tool.rotation
+    else:
+        net, at, turn = tool.nets[0], ORIGIN, UNTURNED
+        run.cache.boxes(index, tool.nets, f"tool {index}")
+    other, h = run.load((index, 0), tool.grids[0], net)
+    if not world_box(other.extent, at, turn, run.cache.box):
+        raise InputError("the tool's box is not a number", where=f"tool {index}")
+    margin, out, reach = run.options.margin, run.out, max(run.options.margin, tool.reach)
+    tie = EDGE * math.dist(*other.extent.tolist())
+    crossings: list[Crossings] = []
+    for place in range(run.near_posed(reach, felt=True)):
+        face = int(run.cache.near[place])
+        work, g = run.model(face) if isinstance(tool, SurfaceTool) else run.model_in_frame(face, index, at, turn)
+        rows, key = out.reserve(len(g.visit)), (face, index, 0)
+        # an open sheet is felt to the depth of a cell at least, or flat pressed on flat would lose its contact as it
+        # begins
+        felts = (reach,) if other.closed else (reach, reach + run.cell_size(face))
+
+        def look(
+            seed: int, felt: float, work: Workspace = work, rows: Columns = rows, face: int = face
+        ) -> tuple[int, int, int]:
+            found, cells, left = surface_rows(
+                work.patch, h, other.extent, seed, felt, np.inf if other.closed else felt, margin, tie, at, turn,
+                work.new_mark(), work.new_mark(), work.new_mark(), work.room, work.waves, other.search, rows,
+                out.count, run.body, run.others[index], run.faces[face],
+            )  # fmt: skip
+            if found < 0:
+                raise InputError("a distance to the tool is not a number", where=f"tool {index}")
+            return found, cells, left
+
+        found = cells = left = 0
+        for felt in felts:
+            found, cells, left = look(-1, felt)
+            if cells:
+                break
+        if not cells:
+            # where no sphere meets another, the patch may lie wholly inside the tool; any one vertex of it tells
+            run.cache.counters[0] += 1
+            axis = run.cache.axes.setdefault(key, np.zeros(3))
+            if not hull.apart(positions(g.net), positions(h.net), axis, felts[-1]):
+                found, _, _ = look(int(g.inside.argmax()), np.inf)
+        out.count += found
+        if left:
+            _below_vertices(run, index, face, tool, other, tie, np.unique(work.room.maybe[:left, :2], axis=0), work)
+        if isinstance(tool, SurfaceTool):
+            for felt in felts:
+                near, crossed = _near_cells(run, key, work, other, felt)
+                crossings += crossed
+                if near is not None and len(near):
+                    break
+    return crossings
+
+
+def _below_vertices(
+    run: Run,
+    index: int,
+    face: int,
+    tool: SurfaceTool | RigidSurfaceTool,
+    other: Workspace,
+    tie: float,
+    cells: Index,
+    work: Workspace,
+) -> None:
+    """Contacts between the vertices of finest cells (n, 2) that a tool of one patch may reach, in its frame."""
+    solid = _Solid(tool.grids, lambda _: other.patch, other.extent[None], tie, run.options.margin)
+
+    def distance(points: Array) -> Array:
+        return _nearest(solid, points, np.arange(len(points) + 1)).gap
+
+    g = work.patch
+    uv, points, area, undecided = quadrature.below_grid(
+        g, cells, distance, distance, run.options.margin, finest_size(run, g), run.grids[face].region
+    )
+    run.give_up(index, face, undecided)
+    if not len(uv):
+        return
+    touch = _nearest(solid, points, np.arange(len(points) + 1))
+    if isinstance(tool, RigidSurfaceTool):
+        turn = tool.rotation.T
+        points = points @ turn + tool.at
+        touch = replace(touch, normal=touch.normal @ turn, point=touch.point @ turn + tool.at)
+    _put_rows(run, index, face, uv, points, area, touch)
 
 
 def _near_cells(
@@ -123,9 +219,7 @@ def _whole_hull_apart(run: Run, face: int, index: int, g: Patch, tool: SurfaceTo
     return hull.apart(mine, its, run.cache.axes.setdefault((face, index, -1), np.zeros(3)), 0.0)
 
 
-def _closest_contacts(
-    run: Run, index: int, face: int, solid: _Solid, work: Workspace, cells: list[Index]
-) -> list[Contacts]:
+def _closest_contacts(run: Run, index: int, face: int, solid: _Solid, work: Workspace, cells: list[Index]) -> None:
     """Contacts at the model's finest vertices: their closest points on the tool's true surface, from the cells left
     outwards as long as there are contacts, so that the inside of a deep overlap is not lost."""
     g, known, margin = work.patch, work.new_mark(), run.options.margin
@@ -143,17 +237,16 @@ def _closest_contacts(
         hit = ~(nearest.depth < -margin)
         wave = quadrature.spread(g, names[hit], known) if hit.any() else wave[:0]
     if not waves:
-        return []
+        return
     names, nearest = np.concatenate([n for n, _ in waves]), _Nearest.joined([n for _, n in waves])
     touching = np.flatnonzero(~(nearest.depth < -margin))
     touching = touching[np.argsort(names[touching])]
-    parts = []
     if len(touching):
         uv, points, area = quadrature.vertex_rows(g, names[touching])
         touch = nearest.chosen(touching)
-        parts.append(_rows(run, index, face, uv, points, area, touch))
+        _put_rows(run, index, face, uv, points, area, touch)
     if run.paper or not cells:
-        return parts
+        return
     left = quadrature.unresolved(g, np.concatenate(cells), margin, names, -nearest.gap, work.new_mark())
     # a cell near several patches of the tool comes once from each
     left = np.unique(left, axis=0)
@@ -169,14 +262,12 @@ def _closest_contacts(
         run.give_up(index, face, undecided)
         if len(uv):
             touch = _nearest(solid, points, np.arange(len(points) + 1))
-            parts.append(_rows(run, index, face, uv, points, area, touch))
-    return parts
+            _put_rows(run, index, face, uv, points, area, touch)
 
 
-def _rows(run: Run, index: int, face: int, uv: Array, points: Array, area: Array, touch: _Nearest) -> Contacts:
-    return run.rows(
-        index, face, uv, points, -touch.normal, touch.depth, area, touch.point, (touch.patch, touch.parameters)
-    )
+def _put_rows(run: Run, index: int, face: int, uv: Array, points: Array, area: Array, touch: _Nearest) -> None:
+    on_tool = touch.patch, touch.parameters
+    run.out.append(run.rows(index, face, uv, points, -touch.normal, touch.depth, area, touch.point, on_tool))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

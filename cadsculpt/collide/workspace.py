@@ -95,6 +95,13 @@ class Patch(NamedTuple):
     depth: Array
     cell_area: Array
     area_stamp: Index
+    corners: Index
+    wanted: Index
+    ids: Index
+    work: Array
+    frames: Array
+    terms: Array
+    terms_stamp: Index
     tick: int
     slack: float
     paper: bool
@@ -126,6 +133,56 @@ class Spans(NamedTuple):
     slack: float
 
 
+class Room(NamedTuple):
+    """What kernels work in beside a patch: room for all cells of its largest level, or all its vertices, whichever is more
+    (n). Memory that nothing is written to is not taken from the machine.
+
+    cells, children (n, 3), maybe (n, 6), names, hits (n,), distance (n,), points (n, 3), normals (n, 3).
+    """
+
+    cells: Index
+    children: Index
+    maybe: Index
+    names: Index
+    hits: Index
+    distance: Array
+    points: Array
+    normals: Array
+
+
+class Waves(NamedTuple):
+    """What is found at vertices, wave by wave, in the order of `Room.names`: room for all of a patch's (n).
+
+    place (n,) : where each vertex stands among them. queue, kept (n,) : which of them are contacts. group (n + 1,) : where
+    groups of neighbours begin. best (n, 9), state, owner (n,) : of `closest.project`.
+    """
+
+    place: Index
+    queue: Index
+    kept: Index
+    group: Index
+    best: Array
+    state: Index
+    owner: Index
+
+
+class Search(NamedTuple):
+    """What a search for closest points on a patch works in: room for all cells of its largest level."""
+
+    here: Index
+    there: Index
+    final: Index
+    table: Array
+    found: Array
+    mine: Array
+    h: Array
+    scratch: Array
+    centre: Array
+    starts: Index
+    stack: Index
+    boxes: Array
+
+
 @dataclass(slots=True, eq=False)
 class Workspace:
     """What follows one patch's control points; one per patch and place where it is used, reused from step to step."""
@@ -135,15 +192,24 @@ class Workspace:
     patch: Patch = field(init=False)
     extent: Array = field(init=False)
     _flags: Index = field(init=False)
+    _net: Array = field(init=False)
+    _rows: Array = field(init=False)
+    _edge: Array = field(init=False)
     _mark: int = field(init=False, default=0)
     _boxes: tuple[Array, Index, Index] | None = field(init=False, default=None)
+    _room: Room | None = field(init=False, default=None)
+    _search: Search | None = field(init=False, default=None)
+    _waves: Waves | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         grid, (m, n), (r, s) = self.grid, self.grid.shape, self.grid.surface.shape
         cells, spans = int(grid.offset[-1]), (int(grid.tally[0, 0]), int(grid.tally[0, 1]))
         surface, matrices = grid.surface, grid.matrices
+        p, q = surface.degree_u, surface.degree_v
+        most = max(int(grid.tally.prod(axis=1).max()), 16)
         self.extent = np.full((2, 3), np.nan)
         self._flags = _integers(3)
+        self._net, self._rows, self._edge = np.empty((r, s, 3)), np.empty((r, spans[1], 6)), np.empty((2, max(r, s), 3))
         self.patch = Patch(
             net=np.full((r, s, 4), np.nan),
             knots_u=grid.knots_u, knots_v=grid.knots_v, degree_u=surface.degree_u, degree_v=surface.degree_v,
@@ -157,6 +223,9 @@ class Workspace:
             bounds=np.empty((*spans, 5)), bounds_stamp=_integers(*spans),
             mark=_integers(cells), slot=_integers(cells), visit=_integers(m * n), depth=np.empty(m * n),
             cell_area=np.empty(m * n), area_stamp=_integers(m * n),
+            corners=np.empty(4 * most, np.int64), wanted=np.empty(most, np.int64), ids=_integers(4),
+            work=np.empty((2, 8)), frames=grid.frames,
+            terms=np.empty((r - p, s - q, (p + 1) * (q + 1), 4)), terms_stamp=_integers(r - p, s - q),
             tick=0, slack=0.0, paper=False, delta=0.0, counters=self.counters,
         )  # fmt: skip
 
@@ -165,15 +234,15 @@ class Workspace:
 
         Raises GeometryError when a control point is not finite or the net has another shape.
         """
-        net = np.ascontiguousarray(net, dtype=np.float64)
         patch = self.patch
-        if net.shape != (*self.grid.surface.shape, 3):
-            raise GeometryError(f"a net of shape {net.shape} for a surface of {self.grid.surface.shape} control points")
-        if not net.flags.writeable:
-            net = net.copy()  # one type of array for the kernels
+        if np.shape(net) != self._net.shape:
+            raise GeometryError(
+                f"a net of shape {np.shape(net)} for a surface of {self.grid.surface.shape} control points"
+            )
+        np.copyto(self._net, net)  # one type of array for the kernels
         changed = load(
-            net, self.grid.weights, patch.net, patch.rows_u, patch.first_u, patch.rows_v, patch.first_v,
-            patch.row_u, patch.row_v, patch.tally, patch.box, self.extent, self._flags,
+            self._net, self.grid.weights, patch.net, patch.rows_u, patch.first_u, patch.rows_v, patch.first_v,
+            patch.row_u, patch.row_v, patch.tally, patch.box, self.extent, self._flags, self._rows, self._edge,
         )  # fmt: skip
         if changed < 0:
             raise GeometryError("a control point is not finite", where=self.grid.surface.name or "surface")
@@ -181,7 +250,7 @@ class Workspace:
             wrap_u, wrap_v, poles = (int(flag) for flag in self._flags)
             self.patch = patch._replace(
                 wrap_u=bool(wrap_u), wrap_v=bool(wrap_v), poles=poles, tick=patch.tick + 1,
-                slack=ROUND_OFF * float(np.abs(self.extent).max()), paper=paper, delta=delta,
+                slack=ROUND_OFF * max(map(abs, self.extent.flat)), paper=paper, delta=delta,
             )  # fmt: skip
         return self.patch
 
@@ -199,6 +268,36 @@ class Workspace:
             self._boxes = np.empty((cells, BOX)), np.empty((cells, 4), np.int64), _integers(cells)
         return self._boxes
 
+    @property
+    def room(self) -> Room:
+        """Room for kernels to work in, made when it is first asked for."""
+        if self._room is None:
+            n = max(int(self.grid.tally.prod(axis=1).max()), len(self.patch.visit))
+            i, x = np.int64, np.float64
+            self._room = Room(
+                np.empty((n, 3), i), np.empty((n, 3), i), np.empty((n, 6), i), np.empty(n, i), np.empty(n, i),
+                np.empty(n, x), np.empty((n, 3), x), np.empty((n, 3), x),
+            )  # fmt: skip
+        return self._room
+
+    @property
+    def waves(self) -> Waves:
+        """Room for what is found at the vertices, made when it is first asked for."""
+        if self._waves is None:
+            n, i = len(self.patch.visit), np.int64
+            self._waves = Waves(
+                np.empty(n, i), np.empty(n, i), np.empty(n, i), np.empty(n + 1, i), np.empty((n, 9)), np.empty(n, i),
+                np.empty(n, i),
+            )  # fmt: skip
+        return self._waves
+
+    @property
+    def search(self) -> Search:
+        """Room for a search for closest points, made when it is first asked for."""
+        if self._search is None:
+            self._search = Search(*new_search(self.patch))
+        return self._search
+
     def new_mark(self) -> int:
         """A number that no entry of `mark` and `visit` holds yet."""
         self._mark += 2
@@ -207,6 +306,20 @@ class Workspace:
 
 def _integers(*shape: int) -> Index:
     return np.zeros(shape, dtype=np.int64)
+
+
+@njit
+def new_search(g: Patch) -> Search:
+    """Room for a search for closest points on a patch. (Memory that is not written to is not taken from the machine.)"""
+    most = 1
+    for level in range(len(g.tally)):
+        most = max(most, g.tally[level, 0] * g.tally[level, 1])
+    columns = max(g.degree_u, g.degree_v) + 4
+    return Search(
+        np.empty((most, 3), np.int64), np.empty((most, 3), np.int64), np.empty((most, 3), np.int64), np.empty((most, 5)),
+        np.empty(9), np.empty(9), np.empty((6, 4)), np.empty((9, columns)), np.empty(3), np.empty(16, np.int64),
+        np.empty((most + 128, 6), np.int64), np.empty((2, 6)),
+    )  # fmt: skip
 
 
 @njit
@@ -248,13 +361,14 @@ def extent_of(net: Array, out: Array) -> None:
 @njit
 def load(
     net: Array, weights: Array, target: Array, rows_u: Array, first_u: Index, rows_v: Array, first_v: Index,
-    row_u: Index, row_v: Index, tally: Index, box: Array, extent: Array, flags: Index,
+    row_u: Index, row_v: Index, tally: Index, box: Array, extent: Array, flags: Index, rows: Array, edge: Array,
 ) -> int:  # fmt: skip
     """Take in a net: homogeneous points, box, span boxes, closed directions and poles. 0: unchanged; 1: new; -1: not
     finite.
 
     box (spans, 6): low and high corner of each span's own (k+1)(l+1) control points. flags: closed in u, in v, poles
-    (1, 2: first and last row of the grid; 4, 8: first and last column).
+    (1, 2: first and last row of the grid; 4, 8: first and last column). rows (r, spans of v, 6), edge (2, max(r, s), 3) :
+    scratch.
     """
     r, s = net.shape[0], net.shape[1]
     same = True
@@ -278,7 +392,6 @@ def load(
     p, q = rows_u.shape[2], rows_v.shape[2]
     spans_u, spans_v = tally[0, 0], tally[0, 1]
     # along v first, then along u
-    rows = np.empty((r, spans_v, 6))
     for b in range(spans_v):
         j0 = first_v[row_v[0, b]]
         for i in range(r):
@@ -298,7 +411,6 @@ def load(
                 box[k, c], box[k, 3 + c] = low, high
     # the four edge curves, as control points of curves along the other direction
     flags[2] = 0
-    edge = np.empty((2, max(r, s), 3))
     for direction in range(2):
         length = s if direction == 0 else r
         table = rows_u if direction == 0 else rows_v

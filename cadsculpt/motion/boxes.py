@@ -23,18 +23,11 @@ def sample_times(path: ToolPath, samples: int = SAMPLES) -> Array:
     return np.unique(np.concatenate([path.t, np.linspace(path.t[0], path.t[-1], samples)]))
 
 
-def moved_box(corners: Array, pose: Pose) -> Array:
-    """The box (2, 3) in the world around a box (2, 3) in a body's frame."""
-    centre, half = 0.5 * (corners[0] + corners[1]), 0.5 * (corners[1] - corners[0])
-    middle, reach = pose.to_world(centre), np.abs(pose.rotation) @ half
-    return np.array([middle - reach, middle + reach])
-
-
 def swept_boxes(corners: Array, path: ToolPath) -> Array:
     """Boxes (k, 2, 3) in the world that together hold a body of the box (2, 3), in its own frame, along its path."""
     if not np.isfinite(corners).all():
         return EVERYWHERE
-    ends = np.array([moved_box(corners, path.pose(float(t))) for t in sample_times(path)])
+    ends = np.array([path.pose(float(t)).box(corners) for t in sample_times(path)])
     # between two samples the body is inside the box of both
     joined = np.stack([np.minimum(ends[:-1, 0], ends[1:, 0]), np.maximum(ends[:-1, 1], ends[1:, 1])], axis=1)
     return joined if len(joined) else ends
@@ -47,13 +40,13 @@ def seen_boxes(boxes: Array, corners: Array, path: ToolPath, samples: int = 64) 
     times = sample_times(path, samples)
     places = [path.pose(float(t)) for t in times]
     for before, after in zip(places, places[1:] or places, strict=False):
-        low, high = np.array([moved_box(corners, before), moved_box(corners, after)]).transpose(1, 0, 2)
+        low, high = np.array([before.box(corners), after.box(corners)]).transpose(1, 0, 2)
         low, high = low.min(axis=0), high.max(axis=0)
         # what the boxes share with that of the body is where it may be touched
         cut = np.stack([np.maximum(boxes[:, 0], low), np.minimum(boxes[:, 1], high)], axis=1)
         for box in cut[(cut[:, 0] <= cut[:, 1]).all(axis=1)]:
             for pose in (before, after):
-                found.append(moved_box(box, Pose(-pose.rotation.T @ pose.at, pose.rotation.T)))
+                found.append(Pose(-pose.rotation.T @ pose.at, pose.rotation.T).box(box))
     return np.array(found).reshape(-1, 2, 3)
 
 

@@ -37,6 +37,11 @@ class Pose:
         """Rotate (..., 3) without translating."""
         return vectors @ self.rotation.T
 
+    def box(self, corners: Array) -> Array:
+        """The box (2, 3) in the world, low and high corner, of a finite box (2, 3) in the tool's frame."""
+        middle, half = self.to_world(0.5 * (corners[0] + corners[1])), np.abs(self.rotation) @ (corners[1] - corners[0])
+        return np.array([middle - 0.5 * half, middle + 0.5 * half])
+
     def then(self, other: Pose) -> Pose:
         """This pose followed by `other`: x -> other(self(x))."""
         return Pose(other.rotation @ self.at + other.at, other.rotation @ self.rotation)

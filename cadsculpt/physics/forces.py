@@ -75,35 +75,82 @@ def node_weights(lattice: Lattice, u: ArrayLike, v: ArrayLike) -> tuple[Index, A
     others share it; where all four are in no cell, the nearest surface node that is in one gets all. Raises
     InputError for (u, v) that are not finite, and for an assembly, which has no grid.
     """
+    u, v = np.array(u, dtype=np.float64, ndmin=1), np.array(v, dtype=np.float64, ndmin=1)
+    nodes, weights = np.empty((len(u), 4), np.int64), np.empty((len(u), 4))
+    fill_node_weights(lattice, u, v, nodes, weights)
+    return nodes, weights
+
+
+def fill_node_weights(lattice: Lattice, u: Array, v: Array, nodes: Index, weights: Array) -> None:
+    """The nodes and weights of `node_weights` into arrays (n, 4)."""
     _, nv, nl = grid_shape(lattice)
-    u, v = np.atleast_1d(np.asarray(u, dtype=np.float64)), np.atleast_1d(np.asarray(v, dtype=np.float64))
-    if not (np.isfinite(u).all() and np.isfinite(v).all()):
+    lost = spread_weights(lattice.u, lattice.v, lattice.period, nv, nl, lattice.active, u, v, nodes, weights)
+    if lost < 0:
         raise InputError("a contact at parameters that are not finite")
-    i0, i1, a = _between(lattice.u, lattice.period[0], u)
-    j0, j1, b = _between(lattice.v, lattice.period[1], v)
-    nodes = np.stack([(i * nv + j) * nl for i in (i0, i1) for j in (j0, j1)], axis=1)
-    weights = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b], axis=1)
-    weights[~lattice.active[nodes]] = 0.0
-    total = weights.sum(axis=1)
-    for n in np.flatnonzero(total < 1e-12):
-        nodes[n], weights[n], total[n] = _nearest_active(lattice, u[n], v[n]), (1.0, 0.0, 0.0, 0.0), 1.0
-    return nodes, weights / total[:, None]
+    for n in np.flatnonzero(nodes[:, 0] < 0) if lost else ():
+        nodes[n], weights[n] = _nearest_active(lattice, u[n], v[n]), (1.0, 0.0, 0.0, 0.0)
 
 
 def cells_around(lattice: Lattice, u: Array, v: Array) -> tuple[Index, Index]:
     """The cells (i, j) that (u, v) (n,) lie in, each (n,); those at the border for what lies outside the grid."""
-    return _between(lattice.u, lattice.period[0], u)[0], _between(lattice.v, lattice.period[1], v)[0]
+    i, j = np.empty(len(u), np.int64), np.empty(len(v), np.int64)
+    fill_cells(lattice.u, lattice.v, lattice.period, u, v, i, j)
+    return i, j
 
 
-def _between(nodes: Array, period: float, t: Array) -> tuple[Index, Index, Array]:
-    """Indices of the nodes before and after each t (m,), and how far between them it lies, 0 to 1."""
-    ends = nodes
+@njit
+def fill_cells(
+    nodes_u: Array, nodes_v: Array, period: tuple[float, float], u: Array, v: Array, i: Index, j: Index
+) -> None:
+    """The cells of `cells_around` into i, j (n,)."""
+    for c in range(len(u)):
+        i[c], j[c] = _between(nodes_u, period[0], u[c])[0], _between(nodes_v, period[1], v[c])[0]
+
+
+@njit
+def spread_weights(
+    nodes_u: Array, nodes_v: Array, period: tuple[float, float], nv: int, nl: int, active: NDArray[np.bool_],
+    u: Array, v: Array, nodes: Index, weights: Array,
+) -> int:  # fmt: skip
+    """Nodes and weights of the places with an active node around them; the others get node -1, and are counted. -1 for a
+    place that is not finite."""
+    lost = 0
+    for c in range(len(u)):
+        if not (np.isfinite(u[c]) and np.isfinite(v[c])):
+            return -1
+        i0, i1, a = _between(nodes_u, period[0], u[c])
+        j0, j1, b = _between(nodes_v, period[1], v[c])
+        total = 0.0
+        for k in range(4):
+            i, s = (i0, 1.0 - a) if k < 2 else (i1, a)
+            j, t = (j0, 1.0 - b) if k % 2 == 0 else (j1, b)
+            nodes[c, k] = (i * nv + j) * nl
+            weights[c, k] = s * t if active[nodes[c, k]] else 0.0
+            total += weights[c, k]
+        if total < 1e-12:
+            nodes[c, 0] = -1
+            lost += 1
+            continue
+        for k in range(4):
+            weights[c, k] /= total
+    return lost
+
+
+@njit
+def _between(nodes: Array, period: float, t: float) -> tuple[int, int, float]:
+    """Indices of the nodes before and after t, and how far between them it lies, 0 to 1."""
+    count = len(nodes)
     if period > 0.0:
-        ends = np.append(nodes, nodes[0] + period)
-        t = nodes[0] + np.mod(t - nodes[0], period)
-    i = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(ends) - 2)
-    share = np.clip((t - ends[i]) / (ends[i + 1] - ends[i]), 0.0, 1.0)
-    return i.astype(np.int64), ((i + 1) % len(nodes)).astype(np.int64), share
+        t = nodes[0] + (t - nodes[0]) % period
+    low, high = 0, count if period > 0.0 else count - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if nodes[middle] <= t:
+            low = middle
+        else:
+            high = middle
+    end = nodes[low + 1] if low + 1 < count else nodes[0] + period
+    return low, (low + 1) % count, min(max((t - nodes[low]) / (end - nodes[low]), 0.0), 1.0)
 
 
 def _nearest_active(lattice: Lattice, u: float, v: float) -> int:
@@ -115,8 +162,8 @@ def _nearest_active(lattice: Lattice, u: float, v: float) -> int:
         (u, lattice.u, lattice.period[0], nodes // nv),
         (v, lattice.v, lattice.period[1], nodes % nv),
     ):
-        before, _, share = _between(ends, period, np.array([t]))
-        gap = np.abs(index - (before[0] + share[0]))
+        before, _, share = _between(ends, period, t)
+        gap = np.abs(index - (before + share))
         gaps.append(np.minimum(gap, len(ends) - gap) if period > 0.0 else gap)
     return int(nodes[np.argmin(gaps[0] ** 2 + gaps[1] ** 2)]) * nl
 

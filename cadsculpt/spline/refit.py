@@ -20,8 +20,12 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 
 from ..errors import GeometryError
+from ..jit import njit
 from .matrices import design_matrix
 from .surface import BSplineSurface
+
+MOST_FACTORS = 32
+"""Factorised windows that are remembered: nodes at the rim of a dent count as moved in one step and not in the next."""
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -94,24 +98,33 @@ class Refit:
                 )
         return cls(A_u, A_v, W, weights, free, tie_u, tie_v)
 
-    def fit(self, displacement: Array, threshold: float = 0.0) -> Array:
+    def fit(self, displacement: Array, threshold: float = 0.0, room: RefitRoom | None = None) -> Array:
         """Displacements (r, s, 3) of the control points for node displacements (m, n, 3).
 
         Only control points whose support meets a node that moved by more than `threshold` are free; the others get
-        exactly zero.
+        exactly zero. room : arrays to work in; the result is then one of them, and nothing is allocated while the
+        control points that move stay the same and none among them is held.
         """
-        window = self.window(displacement, threshold)
-        delta = np.zeros((*self.free.shape, 3))
+        room = RefitRoom.of(self) if room is None else room
+        window = self.window(displacement, threshold, room)
+        room.delta[...] = 0.0
         if window is not None:
             i0, i1, j0, j1 = window
             factor = self._factors.get(window)
             if factor is None:
                 factor = self._factor(window)
-                self._factors.clear()
+                if len(self._factors) >= MOST_FACTORS:
+                    self._factors.clear()
                 self._factors[window] = factor
-            data = displacement[factor.rows, factor.columns] * self.W[factor.rows, factor.columns, None]
-            delta[i0:i1, j0:j1] = factor.solve(data) / self.weights[i0:i1, j0:j1, None]
-        return delta[np.ix_(self.tie_u, self.tie_v)]
+            rows, columns = factor.rows, factor.columns
+            shape = rows.stop - rows.start, columns.stop - columns.start, 3
+            data = shaped(room.data, shape)
+            np.multiply(displacement[rows, columns], self.W[rows, columns, None], out=data)
+            q = factor.solve(data, room)
+            np.divide(q, self.weights[i0:i1, j0:j1, None], out=room.delta[i0:i1, j0:j1])
+        np.take(room.delta, self.tie_u, axis=0, out=room.half, mode="clip")
+        np.take(room.half, self.tie_v, axis=1, out=room.full, mode="clip")
+        return room.full
 
     def surface_displacement(self, delta: Array) -> Array:
         """What control point displacements (r, s, 3) do to the surface at the nodes: (m, n, 3)."""
@@ -130,14 +143,16 @@ class Refit:
             return RefitError(0.0, 0.0)
         return RefitError(float(distance.max()), float(np.sqrt(np.mean(distance**2))))
 
-    def window(self, displacement: Array, threshold: float) -> tuple[int, int, int, int] | None:
+    def window(
+        self, displacement: Array, threshold: float, room: RefitRoom | None = None
+    ) -> tuple[int, int, int, int] | None:
         """Index box [i0:i1, j0:j1] of the control points whose support meets a moved node; None when none moved."""
-        moved = np.einsum("mnc,mnc->mn", displacement, displacement) > threshold**2
-        if not moved.any():
+        room = RefitRoom.of(self) if room is None else room
+        if not moved_box(displacement, threshold**2, room.reach_u, room.reach_v, room.box):
             return None
-        i = np.flatnonzero((self.A_u[moved.any(axis=1)] != 0.0).any(axis=0))
-        j = np.flatnonzero((self.A_v[moved.any(axis=0)] != 0.0).any(axis=0))
-        i0, i1, j0, j1 = int(i[0]), int(i[-1]) + 1, int(j[0]), int(j[-1]) + 1
+        i0, i1, j0, j1 = room.box.tolist()
+        if room.all_free:
+            return i0, i1, j0, j1
         inner = self.free[i0:i1, j0:j1]
         if not inner.any():
             return None
@@ -156,13 +171,67 @@ class Refit:
         return _MaskedFactor(rows, columns, A_u, A_v, free)
 
 
+@dataclass(slots=True, eq=False)
+class RefitRoom:
+    """Arrays that a refit works in, kept from step to step; not for two threads.
+
+    reach_u (m, 2), reach_v (n, 2) : the first unknown in whose support each node lies, and the one behind the last.
+    """
+
+    all_free: bool
+    reach_u: NDArray[np.int64]
+    reach_v: NDArray[np.int64]
+    box: NDArray[np.int64]
+    data: Array
+    rows: Array
+    solved: Array
+    delta: Array
+    half: Array
+    full: Array
+
+    @classmethod
+    def of(cls, refit: Refit) -> RefitRoom:
+        (m, n), (r, s) = refit.W.shape, refit.free.shape
+        return cls(
+            bool(refit.free.all()), _reach(refit.A_u), _reach(refit.A_v), np.zeros(4, np.int64),
+            np.empty(3 * m * n), np.empty(3 * r * n), np.empty(3 * r * s), np.empty((r, s, 3)),
+            np.empty((len(refit.tie_u), s, 3)), np.empty((len(refit.tie_u), len(refit.tie_v), 3)),
+        )  # fmt: skip
+
+
+def shaped(numbers: Array, shape: tuple[int, int, int]) -> Array:
+    """The first of these numbers as an array of this shape."""
+    return numbers[: shape[0] * shape[1] * shape[2]].reshape(shape)
+
+
+def _reach(matrix: Array) -> NDArray[np.int64]:
+    used = matrix != 0.0
+    return np.stack([used.argmax(axis=1), matrix.shape[1] - used[:, ::-1].argmax(axis=1)], axis=1)
+
+
+@njit
+def moved_box(
+    displacement: Array, square: float, reach_u: NDArray[np.int64], reach_v: NDArray[np.int64], box: NDArray[np.int64]
+) -> bool:
+    """The box [i0, i1, j0, j1] of the unknowns in whose support nodes lie that moved by more than the root of `square`;
+    False when none did."""
+    box[0], box[1], box[2], box[3] = 2**62, 0, 2**62, 0
+    for i in range(displacement.shape[0]):
+        for j in range(displacement.shape[1]):
+            x, y, z = displacement[i, j, 0], displacement[i, j, 1], displacement[i, j, 2]
+            if x * x + y * y + z * z > square:
+                box[0], box[1] = min(box[0], reach_u[i, 0]), max(box[1], reach_u[i, 1])
+                box[2], box[3] = min(box[2], reach_v[j, 0]), max(box[3], reach_v[j, 1])
+    return box[1] > 0
+
+
 class _Factor(Protocol):
     """One factorised window: `solve` takes the weighted data of its rows and columns to Q."""
 
     rows: slice
     columns: slice
 
-    def solve(self, data: Array) -> Array: ...
+    def solve(self, data: Array, room: RefitRoom) -> Array: ...
 
 
 class _SeparableFactor:
@@ -173,10 +242,13 @@ class _SeparableFactor:
         self._pinv_u = _solver(A_u)
         self._pinv_v = _solver(A_v)
 
-    def solve(self, data: Array) -> Array:
+    def solve(self, data: Array, room: RefitRoom) -> Array:
         m, n, c = data.shape
-        half = (self._pinv_u @ data.reshape(m, n * c)).reshape(-1, n, c)
-        return np.matmul(self._pinv_v, half)
+        r, s = len(self._pinv_u), len(self._pinv_v)
+        half, out = shaped(room.rows, (r, n, c)), shaped(room.solved, (r, s, c))
+        np.matmul(self._pinv_u, data.reshape(m, n * c), out=half.reshape(r, n * c))
+        np.matmul(self._pinv_v, half, out=out)
+        return out
 
 
 class _MaskedFactor:
@@ -195,7 +267,7 @@ class _MaskedFactor:
             normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
 
-    def solve(self, data: Array) -> Array:
+    def solve(self, data: Array, room: RefitRoom) -> Array:
         q = np.zeros((*self._free.shape, 3))
         residual = data
         flat = q.reshape(-1, 3)

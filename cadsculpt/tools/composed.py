@@ -465,8 +465,7 @@ def _joined_box(how: str, boxes: Sequence[Array]) -> Array:
 def _box_at(corners: Array, pose: Pose) -> Array:
     """The box of a box at a pose; infinite sides make it infinite where they point."""
     if np.isfinite(corners).all():
-        middle, reach = pose.to_world(corners.mean(axis=0)), np.abs(pose.rotation) @ (0.5 * (corners[1] - corners[0]))
-        return np.array([middle - reach, middle + reach])
+        return pose.box(corners)
     low, high = pose.at.copy(), pose.at.copy()
     for i in range(3):
         for j in range(3):

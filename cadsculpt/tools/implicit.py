@@ -8,20 +8,29 @@ nearest to x, and that point is x - d n.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..collide.detect import FieldTool
+from ..collide.shapes import (
+    BOX,
+    CAPSULE,
+    CONE,
+    CYLINDER,
+    ELLIPSOID,
+    HALF_SPACE,
+    SPHERE,
+    TORUS,
+    PosedShape,
+    shape_field,
+)
 from ..errors import InputError
-from ..jit import njit
 from ..motion.pose import Pose
 
 Array = NDArray[np.float64]
-
-SPHERE, ELLIPSOID, CAPSULE, CYLINDER, CONE, BOX, TORUS, HALF_SPACE = range(8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,12 +38,17 @@ class ImplicitTool:
     """A rigid solid with an exact signed distance, in the scene's length unit.
 
     kind : one of the shape numbers of this module. parameters : its sizes, as the constructors below list them;
-    `rounding` rounds the edges of a box or cylinder without changing its outer size.
+    `rounding` rounds the edges of a box or cylinder without changing its outer size. box_corners (2, 3) : lower and upper
+    corner in the tool's frame; infinite for a half-space.
     """
 
     kind: int
     parameters: Array
     rounding: float = 0.0
+    box_corners: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "box_corners", self._corners())
 
     @classmethod
     def sphere(cls, radius: float) -> ImplicitTool:
@@ -80,9 +94,7 @@ class ImplicitTool:
             raise InputError(f"a rounding of {rounding:g}", mend=f"this shape takes 0 to {most:g}")
         return cls(kind, parameters, rounding)
 
-    @property
-    def box_corners(self) -> Array:
-        """(2, 3): lower and upper corner in the tool's frame; infinite for a half-space."""
+    def _corners(self) -> Array:
         p = self.parameters
         if self.kind == HALF_SPACE:
             return np.array([[-np.inf, -np.inf, 0.0], [np.inf, np.inf, np.inf]])
@@ -112,7 +124,9 @@ class ImplicitTool:
 
     def placed(self, pose: Pose) -> FieldTool:
         """The tool in the world, as the collision pipeline takes it."""
-        return FieldTool(PlacedField(self, pose))
+        at, rotation = (np.ascontiguousarray(x, dtype=np.float64) for x in (pose.at, pose.rotation))
+        shape = PosedShape(self.kind, self.parameters, self.rounding, self.box_corners, at, rotation)
+        return FieldTool(PlacedField(self, pose), shape)
 
 
 class Solid(Protocol):
@@ -149,160 +163,4 @@ class PlacedField:
         corners = self.tool.box_corners
         if not np.isfinite(corners).all():
             return np.array([[-np.inf] * 3, [np.inf] * 3])
-        centre, half = corners.mean(axis=0), 0.5 * (corners[1] - corners[0])
-        middle, reach = self.pose.to_world(centre), np.abs(self.pose.rotation) @ half
-        return np.array([middle - reach, middle + reach])
-
-
-@njit
-def shape_field(kind: int, p: Array, rounding: float, x: Array, d: Array, n: Array) -> None:
-    """Signed distance d (m,) and outward normal n (m, 3) of a shape at points x (m, 3)."""
-    for i in range(len(x)):
-        px, py, pz = x[i, 0], x[i, 1], x[i, 2]
-        if kind == SPHERE:
-            length = np.sqrt(px * px + py * py + pz * pz)
-            d[i] = length - p[0]
-            _unit(px, py, pz, length, n[i])
-        elif kind == CAPSULE:
-            half = 0.5 * p[1]
-            qz = pz - min(max(pz, -half), half)
-            length = np.sqrt(px * px + py * py + qz * qz)
-            d[i] = length - p[0]
-            if length > 0.0:
-                _unit(px, py, qz, length, n[i])
-            else:
-                n[i, 0], n[i, 1], n[i, 2] = 1.0, 0.0, 0.0
-        elif kind == HALF_SPACE:
-            d[i] = -pz
-            n[i, 0], n[i, 1], n[i, 2] = 0.0, 0.0, -1.0
-        elif kind == TORUS:
-            r = np.sqrt(px * px + py * py)
-            a = r - p[0]
-            length = np.sqrt(a * a + pz * pz)
-            d[i] = length - p[1]
-            ca, sa = (a / length, pz / length) if length > 0.0 else (1.0, 0.0)
-            cx, cy = (px / r, py / r) if r > 0.0 else (1.0, 0.0)
-            n[i, 0], n[i, 1], n[i, 2] = ca * cx, ca * cy, sa
-        elif kind == CYLINDER:
-            r = np.sqrt(px * px + py * py)
-            cx, cy = (px / r, py / r) if r > 0.0 else (1.0, 0.0)
-            d[i], nr, nz = _rectangle(r, abs(pz), p[0] - rounding, 0.5 * p[1] - rounding)
-            d[i] -= rounding
-            n[i, 0], n[i, 1], n[i, 2] = nr * cx, nr * cy, nz * _sign(pz)
-        elif kind == CONE:
-            r = np.sqrt(px * px + py * py)
-            cx, cy = (px / r, py / r) if r > 0.0 else (1.0, 0.0)
-            d[i], nr, nz = _cone(r, pz, p[0], p[1])
-            n[i, 0], n[i, 1], n[i, 2] = nr * cx, nr * cy, nz
-        elif kind == BOX:
-            _box(px, py, pz, p, rounding, i, d, n)
-        else:
-            _ellipsoid(px, py, pz, p, i, d, n)
-
-
-@njit
-def _unit(x: float, y: float, z: float, length: float, out: Array) -> None:
-    if length > 0.0:
-        out[0], out[1], out[2] = x / length, y / length, z / length
-    else:
-        out[0], out[1], out[2] = 0.0, 0.0, -1.0
-
-
-@njit
-def _sign(x: float) -> float:
-    return 1.0 if x >= 0.0 else -1.0
-
-
-@njit
-def _rectangle(r: float, z: float, a: float, b: float) -> tuple[float, float, float]:
-    """Distance and normal of the quarter rectangle [0, a] x [0, b] at r, z >= 0."""
-    qr, qz = r - a, z - b
-    if qr > 0.0 and qz > 0.0:
-        length = np.sqrt(qr * qr + qz * qz)
-        return length, qr / length, qz / length
-    if qr > qz:
-        return qr, 1.0, 0.0
-    return qz, 0.0, 1.0
-
-
-@njit
-def _cone(r: float, z: float, radius: float, height: float) -> tuple[float, float, float]:
-    """Distance and normal of the triangle (0, 0), (radius, height), (0, height) in the half plane r >= 0."""
-    slant2 = radius * radius + height * height
-    slant = np.sqrt(slant2)
-    nr, nz = height / slant, -radius / slant  # outward normal of the side
-    t = min(max((r * radius + z * height) / slant2, 0.0), 1.0)
-    sr, sz = r - t * radius, z - t * height
-    side = np.sqrt(sr * sr + sz * sz)
-    cap_r = r - min(r, radius)
-    cap_z = z - height
-    cap = np.sqrt(cap_r * cap_r + cap_z * cap_z)
-    inside = r * nr + z * nz <= 0.0 and z <= height
-    if inside:
-        if side <= cap:
-            return -side, nr, nz
-        return -cap, 0.0, 1.0
-    if side <= cap:
-        if t > 0.0 and t < 1.0:
-            return side, nr, nz
-        return side, sr / side, sz / side
-    return cap, cap_r / cap, cap_z / cap
-
-
-@njit
-def _box(px: float, py: float, pz: float, size: Array, rounding: float, i: int, d: Array, n: Array) -> None:
-    q0 = abs(px) - (0.5 * size[0] - rounding)
-    q1 = abs(py) - (0.5 * size[1] - rounding)
-    q2 = abs(pz) - (0.5 * size[2] - rounding)
-    o0, o1, o2 = max(q0, 0.0), max(q1, 0.0), max(q2, 0.0)
-    outside = np.sqrt(o0 * o0 + o1 * o1 + o2 * o2)
-    if outside > 0.0:
-        d[i] = outside - rounding
-        n[i, 0] = o0 / outside * _sign(px)
-        n[i, 1] = o1 / outside * _sign(py)
-        n[i, 2] = o2 / outside * _sign(pz)
-        return
-    n[i, 0], n[i, 1], n[i, 2] = 0.0, 0.0, 0.0
-    if q0 >= q1 and q0 >= q2:
-        d[i] = q0 - rounding
-        n[i, 0] = _sign(px)
-    elif q1 >= q2:
-        d[i] = q1 - rounding
-        n[i, 1] = _sign(py)
-    else:
-        d[i] = q2 - rounding
-        n[i, 2] = _sign(pz)
-
-
-@njit
-def _ellipsoid(px: float, py: float, pz: float, e: Array, i: int, d: Array, n: Array) -> None:
-    """Eberly, "Distance from a point to an ellipsoid": the one root of g(t) = sum (e y / (t + e^2))^2 - 1 right of -min e^2.
-
-    g is convex and falling there, so Newton from the left end never overshoots. The unknown is s = t + min e^2, so that
-    nothing cancels for points near the plane of the shortest axis.
-    """
-    smallest = min(e[0], e[1], e[2])
-    # a point on a plane of symmetry is nudged off it, by less than rounding, so that the root is always the nearest point
-    tiny = 1e-15 * max(e[0], e[1], e[2])
-    y0, y1, y2 = max(abs(px), tiny), max(abs(py), tiny), max(abs(pz), tiny)
-    c0 = (e[0] - smallest) * (e[0] + smallest)
-    c1 = (e[1] - smallest) * (e[1] + smallest)
-    c2 = (e[2] - smallest) * (e[2] + smallest)
-    s = max(e[0] * y0 - c0, e[1] * y1 - c1, e[2] * y2 - c2)
-    for _ in range(100):
-        a0, a1, a2 = s + c0, s + c1, s + c2
-        r0, r1, r2 = e[0] * y0 / a0, e[1] * y1 / a1, e[2] * y2 / a2
-        g = r0 * r0 + r1 * r1 + r2 * r2 - 1.0
-        slope = -2.0 * (r0 * r0 / a0 + r1 * r1 / a1 + r2 * r2 / a2)
-        step = g / slope
-        if not g > 0.0 or s - step == s:
-            break
-        s -= step
-    x0 = e[0] * e[0] * y0 / (s + c0)
-    x1 = e[1] * e[1] * y1 / (s + c1)
-    x2 = e[2] * e[2] * y2 / (s + c2)
-    g0, g1, g2 = x0 / (e[0] * e[0]), x1 / (e[1] * e[1]), x2 / (e[2] * e[2])
-    length = np.sqrt(g0 * g0 + g1 * g1 + g2 * g2)
-    g0, g1, g2 = g0 / length, g1 / length, g2 / length
-    d[i] = (y0 - x0) * g0 + (y1 - x1) * g1 + (y2 - x2) * g2
-    n[i, 0], n[i, 1], n[i, 2] = g0 * _sign(px), g1 * _sign(py), g2 * _sign(pz)
+        return self.pose.box(corners)

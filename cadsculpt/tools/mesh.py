@@ -79,9 +79,7 @@ class PlacedMesh:
         return self.pose.to_world(self.rest.nearest(self.pose.to_tool(points)))
 
     def box(self) -> Array:
-        low, high = self.rest.mesh.box
-        middle, reach = self.pose.to_world(0.5 * (low + high)), np.abs(self.pose.rotation) @ (0.5 * (high - low))
-        return np.array([middle - reach, middle + reach])
+        return self.pose.box(self.rest.mesh.box)
 
     def in_world(self) -> MeshField:
         """The mesh where it stands, with a tree of its own."""

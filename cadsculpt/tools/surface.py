@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,16 @@ Array = NDArray[np.float64]
 class SurfaceTool:
     """A tool of one or more patches, in the tool's frame and the scene's unit; `outward` is out of the tool.
 
-    reach : how deep behind an open tool a model is still in contact: a deformable one's thickness.
+    reach : how deep behind an open tool a model is still in contact: a deformable one's thickness. rest : its control points,
+    per patch.
     """
 
     grids: tuple[PatchGrid, ...]
     reach: float = 0.0
+    rest: tuple[Array, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rest", tuple(grid.surface.control_points for grid in self.grids))
 
     @classmethod
     def of(cls, surfaces: list[BSplineSurface], resolution: int | tuple[int, int]) -> SurfaceTool:
@@ -47,3 +52,7 @@ class SurfaceTool:
         return detect.SurfaceTool(
             self.grids, tuple(np.ascontiguousarray(pose.to_world(net)) for net in nets), self.reach
         )
+
+    def rigid(self, pose: Pose) -> detect.RigidSurfaceTool:
+        """The tool as it was made, in its own frame: faster, where only contacts are asked for."""
+        return detect.RigidSurfaceTool(self.grids, self.rest, pose.at, pose.rotation, self.reach)

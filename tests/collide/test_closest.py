@@ -186,7 +186,7 @@ def test_a_pole_is_no_trap_for_points_beside_it(shapes, turned):
         before = np.linalg.norm(surface.evaluate(found[U], found[V]) - x)
         newton(
             g.net, g.knots_u, g.knots_v, g.degree_u, g.degree_v, g.rational, g.wrap_u, g.wrap_v, g.poles, g.slack, 0.0,
-            *x, found, h, scratch,
+            *x, found, h, scratch, g.frames, g.terms, g.terms_stamp, g.tick,
         )  # fmt: skip
         assert found[DISTANCE] <= before + 1e-12
         if before < np.linalg.norm(x):  # the start is on the nearer half

@@ -73,3 +73,12 @@ def test_bad_numbers_are_errors():
             Motion(Pose(), np.zeros(3), np.array([0, bad, 0]))
         with pytest.raises(InputError, match="not finite"):
             Motion(Pose(np.array([bad, 0, 0])))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_box_of_a_posed_box_holds_its_corners_and_no_more(seed):
+    rng, motion = _random(seed)
+    corners = np.sort(rng.normal(size=(2, 3)), axis=0)
+    all_eight = np.stack(np.meshgrid(*corners.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    world = motion.start.to_world(all_eight)
+    np.testing.assert_allclose(motion.start.box(corners), [world.min(axis=0), world.max(axis=0)], atol=1e-12)

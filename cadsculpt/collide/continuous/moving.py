@@ -194,9 +194,7 @@ def flat_boxes(nets: tuple[Array, ...], whose: str) -> Array:
 
 def posed_box(motion: Motion, s: float, box: Array) -> Array:
     """The box (1, 6) in the world of a box (2, 3) in a moving frame, at s."""
-    pose = motion.pose(s)
-    middle, half = pose.to_world(box.mean(axis=0)), np.abs(pose.rotation) @ (0.5 * (box[1] - box[0]))
-    return np.concatenate([middle - half, middle + half])[None]
+    return motion.pose(s).box(box).reshape(1, 6)
 
 
 def swept_box(motion: Motion, box: Array, radius: float, s0: float, s1: float) -> tuple[Array, Array, float]:
