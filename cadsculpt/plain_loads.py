@@ -42,11 +42,11 @@ class LoadRoom:
 
     @classmethod
     def of(cls, n: int) -> LoadRoom:
-        whole, row, rows = (lambda: np.empty(n, np.int64)), (lambda: np.empty(n)), (lambda: np.empty((n, 3)))
-        return cls(
-            whole(), np.empty((n, 4), np.int64), np.empty((n, 4)), row(), row(), whole(), whole(), rows(), row(), row(), rows(),
-            row(), row(), row(),
-        )  # fmt: skip
+        mine, i, j = (np.empty(n, np.int64) for _ in range(3))
+        u, v, depth, area, stiffness, damping, friction = (np.empty(n) for _ in range(7))
+        normal, velocity = np.empty((n, 3)), np.empty((n, 3))
+        nodes, weights = np.empty((n, 4), np.int64), np.empty((n, 4))
+        return cls(mine, nodes, weights, u, v, i, j, normal, depth, area, velocity, stiffness, damping, friction)
 
 
 @dataclass(slots=True, eq=False)

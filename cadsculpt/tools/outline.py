@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from . import implicit
+from ..collide import shapes
 from .composed import ComposedTool
 from .contour import contour
 from .implicit import ImplicitTool
@@ -40,25 +40,25 @@ def outline(
         clipped = np.clip(corners, -0.6 * scene_size, 0.6 * scene_size)
         return contour(tool.value, tool.field, np.where(np.isfinite(corners), corners, clipped))
     p, rounding = tool.parameters, tool.rounding
-    if tool.kind == implicit.HALF_SPACE:
+    if tool.kind == shapes.HALF_SPACE:
         x = scene_size * np.array([-0.6, 0.6])
         corners = np.array([[a, b, 0.0] for a in x for b in x])
         return corners, np.array([[0, 2, 1], [1, 2, 3]], dtype=np.int64)[:, ::-1]
-    if tool.kind == implicit.BOX:
+    if tool.kind == shapes.BOX:
         return _box(p, rounding)
     quarter = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 33)
-    if tool.kind == implicit.SPHERE:
+    if tool.kind == shapes.SPHERE:
         return _revolve(p[0] * np.stack([np.cos(quarter), np.sin(quarter)], axis=1), 64)
-    if tool.kind == implicit.ELLIPSOID:
+    if tool.kind == shapes.ELLIPSOID:
         points, triangles = _revolve(np.stack([np.cos(quarter), np.sin(quarter)], axis=1), 64)
         return points * p, triangles
-    if tool.kind == implicit.CAPSULE:
+    if tool.kind == shapes.CAPSULE:
         arc = p[0] * np.stack([np.cos(quarter), np.sin(quarter)], axis=1)
         lower, upper = arc[:17] - [0, 0.5 * p[1]], arc[16:] + [0, 0.5 * p[1]]
         return _revolve(np.concatenate([lower, upper]), 64)
-    if tool.kind == implicit.CYLINDER:
+    if tool.kind == shapes.CYLINDER:
         return _revolve(_rounded_profile(p[0], 0.5 * p[1], rounding), 64)
-    if tool.kind == implicit.CONE:
+    if tool.kind == shapes.CONE:
         return _revolve(np.array([[0.0, 0.0], [p[0], p[1]], [0.0, p[1]]]), 64)
     around = np.linspace(-np.pi, np.pi, 49)
     ring = np.stack([p[0] + p[1] * np.cos(around), p[1] * np.sin(around)], axis=1)

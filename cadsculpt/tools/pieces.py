@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..collide import shapes
 from ..motion.pose import Pose
-from . import implicit
 from .expression import Expression
 from .implicit import ImplicitTool, Solid
 
@@ -136,11 +136,11 @@ def solid_pieces(tool: Solid) -> tuple[list[Piece], Tree]:
     if isinstance(tool, ImplicitTool) and tool.rounding == 0.0:
         p = tool.parameters
         pieces: list[Piece] = []
-        if tool.kind == implicit.BOX:
+        if tool.kind == shapes.BOX:
             pieces = box_pieces(tool.box_corners)
-        elif tool.kind == implicit.CYLINDER:
+        elif tool.kind == shapes.CYLINDER:
             pieces = [_round(p[0], 1.0, 0.0), plane([0, 0, -1], 0.5 * p[1]), plane([0, 0, 1], 0.5 * p[1])]
-        elif tool.kind == implicit.CONE:
+        elif tool.kind == shapes.CONE:
             slant = float(np.hypot(p[0], p[1]))
             pieces = [_round(0.0, p[1] / slant, -p[0] / slant), plane([0, 0, 1], p[1])]
         if pieces:
