@@ -206,7 +206,7 @@ class Workspace:
         cells, spans = int(grid.offset[-1]), (int(grid.tally[0, 0]), int(grid.tally[0, 1]))
         surface, matrices = grid.surface, grid.matrices
         p, q = surface.degree_u, surface.degree_v
-        most = max(int(grid.tally.prod(axis=1).max()), 16)
+        most = max(cells, 1)  # of spheres made at once: cells of all levels, each made once
         self.extent = np.full((2, 3), np.nan)
         self._flags = _integers(3)
         self._net, self._rows, self._edge = np.empty((r, s, 3)), np.empty((r, spans[1], 6)), np.empty((2, max(r, s), 3))
