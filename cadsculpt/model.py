@@ -143,9 +143,10 @@ def build_model(
     finest = min(spacings)
     deepest = max(making.substance.thickness for making in makings if making.substance is not None)
     surfaces, meshes = tool_surfaces or {}, tool_meshes or {}
+    cell = _cell(bodies, solver.resolution) if solver.mode == "certified" else 0.0
     rigid = {
         spec.name: make_tool(
-            spec, finest, deepest, solver.resolution, surfaces.get(spec.name, ()), meshes.get(spec.name)
+            spec, finest, deepest, solver.resolution, surfaces.get(spec.name, ()), meshes.get(spec.name), cell
         )
         for spec in scene.tool
         if spec.material is None
@@ -316,6 +317,13 @@ def _makings(
 
 def _spacings(substance: Substance | None, faces: Sequence[SourceFace]) -> tuple[tuple[float, float], ...]:
     return () if substance is None else tuple(_spacing(substance, face) for face in faces)
+
+
+def _cell(bodies: Sequence[SourceBody], resolution: int | tuple[int, int]) -> float:
+    """The smallest mean cell of any face's collision grid, L."""
+    rows = (resolution, resolution) if isinstance(resolution, int) else resolution
+    lengths = [mean_lengths(face.surface) for body in bodies for face in body.faces]
+    return min(length / (n - 1) for pair in lengths for length, n in zip(pair, rows, strict=True))
 
 
 def _push(spec: ToolSpec, path: ToolPath) -> Push:

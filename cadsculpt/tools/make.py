@@ -34,11 +34,13 @@ def make_tool(
     resolution: int | tuple[int, int],
     surfaces: Sequence[BSplineSurface],
     mesh: TriangleMesh | None = None,
+    cell: float = 0.0,
 ) -> Tool:
     """The rigid tool that a [[tool]] table describes.
 
     spacing : the finest node spacing; a point stands for one node's cell. thickness : the greatest of any material; below it
     a point is out of it. surfaces, mesh : what the file of a surface or mesh tool holds, in the scene's unit.
+    cell : of a surface tool, how fine its grid may be (`SurfaceTool.of`).
     """
     where = f"tool {spec.name!r}"
     try:
@@ -46,7 +48,7 @@ def make_tool(
             case "point":
                 return PointTool(spec.area or spacing**2, thickness)
             case "surface":
-                return SurfaceTool.of(list(surfaces), resolution)
+                return SurfaceTool.of(list(surfaces), resolution, cell)
             case "mesh":
                 if mesh is None:
                     raise InputError("a mesh tool needs a file", mend='write file = "..."')

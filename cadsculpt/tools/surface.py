@@ -12,9 +12,13 @@ from ..collide import detect
 from ..collide.detect import PatchGrid
 from ..errors import InputError
 from ..motion.pose import Pose
+from ..spline.matrices import span_lengths
 from ..spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
+
+FEWEST = 13
+"""Rows and columns of a tool's patch that is small beside the model's cells."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,11 +37,13 @@ class SurfaceTool:
         object.__setattr__(self, "rest", tuple(grid.surface.control_points for grid in self.grids))
 
     @classmethod
-    def of(cls, surfaces: list[BSplineSurface], resolution: int | tuple[int, int]) -> SurfaceTool:
-        """Prepare the matrices of all patches at a resolution of about this many rows and columns each."""
+    def of(cls, surfaces: list[BSplineSurface], resolution: int | tuple[int, int], cell: float = 0.0) -> SurfaceTool:
+        """Prepare the matrices of all patches at a resolution of about this many rows and columns each, or fewer: none that
+        make cells smaller than `cell`, the model's, whose vertices are where contacts are."""
         if not surfaces:
             raise InputError("a surface tool without a surface", mend="name a file with at least one face")
-        return cls(tuple(PatchGrid.of(surface, resolution) for surface in surfaces))
+        most = (resolution, resolution) if isinstance(resolution, int) else resolution
+        return cls(tuple(PatchGrid.of(surface, _rows(surface, most, cell)) for surface in surfaces))
 
     @property
     def box_corners(self) -> Array:
@@ -56,3 +62,12 @@ class SurfaceTool:
     def rigid(self, pose: Pose) -> detect.RigidSurfaceTool:
         """The tool as it was made, in its own frame: faster, where only contacts are asked for."""
         return detect.RigidSurfaceTool(self.grids, self.rest, pose.at, pose.rotation, self.reach)
+
+
+def _rows(surface: BSplineSurface, most: tuple[int, int], cell: float) -> tuple[int, int]:
+    """Rows and columns whose cells are about `cell` wide, FEWEST at least and `most` at most."""
+    if cell == 0.0:
+        return most
+    lengths = [float(span_lengths(surface, axis).sum()) for axis in (0, 1)]
+    u, v = (min(n, max(FEWEST, int(np.ceil(length / cell)) + 1)) for n, length in zip(most, lengths, strict=True))
+    return u, v
