@@ -126,8 +126,9 @@ def allocation_truth(warm: int = 30, steps: int = 3, **plate: Any) -> dict[str, 
     model = pressed_plate(**plate)
     session, path = Session(model), model.tools[0].path
     poses = [path.pose(model.step * (k + 1)) for k in range(warm)]
-    # then to and fro, still pressing, until the control points that move stay the same ones, for a refit of others is prepared
-    poses += [Pose(poses[-1].at + [0.1 * np.sin(k), 0.0, -0.002 * k]) for k in range(1, warm + 4 * steps + 1)]
+    # then to and fro, still pressing, until the control points that move are ones that have moved together before: a refit of
+    # others has to be prepared first
+    poses += [Pose(poses[-1].at + [0.1 * np.sin(k * np.pi / 3.0), 0.0, -0.05]) for k in range(1, warm + 4 * steps + 1)]
     ahead = iter(poses)
 
     touching = []

@@ -115,7 +115,7 @@ class _Farthest:
             seen = self._net[i]
             if seen is not None and np.array_equal(net, seen):
                 continue
-            self._net[i] = net
+            self._net[i] = np.array(net)  # its memory is used again
             distance = np.linalg.norm(patch.grid.matrices.points(net, patch.surface.weights) - rest, axis=2)
             if patch.grid.inside is not None:
                 distance = distance[patch.grid.inside]

@@ -93,11 +93,10 @@ def test_what_the_table_of_formats_promises(name, tmp_path):
     """Units, names, trims, weights and orientation, of a bent rational patch and one with a hole that faces down."""
     text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     (row,) = re.findall(rf"^\| {re.escape(name)} \|.*$", text, re.MULTILINE)
-    said = dict(
-        zip(
-            ("units", "names", "trims", "weights", "orientation"), [c.strip() for c in row.split("|")][3:8], strict=True
-        )
-    )
+    (head,) = re.findall(r"^\| format \| extensions \|.*$", text, re.MULTILINE)
+    columns = [[cell.strip() for cell in line.split("|")] for line in (head, row)]
+    wanted = ("units", "names", "trims", "weights", "orientation")
+    said = {key: cell for key, cell in zip(*columns, strict=True) if key in wanted}
     assert f"`{'.geomdl.json' if 'geomdl' in FORMATS[name] else Path(FORMATS[name]).suffix}`" in row
     flat, turn = np.array([0.0, 0, 1, 1]), np.array([0.0, 0, 0, 1, 1, 1])
     quarter = np.array([[1.0, 0, 0], [1, 1, 0], [0, 1, 0]])
@@ -124,5 +123,8 @@ def test_what_the_table_of_formats_promises(name, tmp_path):
         "weights": one.rational and one.control_points[1, 0] == pytest.approx(np.array([1, 1, 0]) * scale),
         "orientation": bool(two.normal(0.1, 0.1)[2] < 0.0 < one.normal(0.5, 0.5) @ [1, 1, 0]),
     }
-    assert {key: "yes" if value else "no" for key, value in found.items()} == said
+    # (what holds of some surfaces only is for the tests of the table's cells)
+    kept = {key: "yes" if value else "no" for key, value in found.items() if said[key] in ("yes", "no")}
+    assert kept == {key: cell for key, cell in said.items() if cell in ("yes", "no")}
+    assert set(said) == set(wanted)
     assert one.evaluate(0.3, 0.6) == pytest.approx(bent.evaluate(0.3, 0.6) * scale, abs=1e-12 * scale)

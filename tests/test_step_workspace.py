@@ -47,7 +47,7 @@ def _called(kernel):
     """The kernel's tree, and those kernels that it calls."""
     function = kernel.py_func
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
-    names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    names = {n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
     return tree, [function.__globals__[n] for n in names if hasattr(function.__globals__.get(n), "py_func")]
 
 
