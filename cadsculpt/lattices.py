@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.contacts import Contacts
-from .errors import SimulationError
+from .errors import InputError, SimulationError
 from .groups import Group, placed_nodes
 from .loads import RIGID, LoadMaker, Sides
 from .model import Model
@@ -245,7 +245,10 @@ class Lattices:
     ) -> StepForces:
         solver = self.model.scene.solver
         if solver.integrator == "explicit":
-            return advance(group.lattice, state, load, dt, substep=solver.substep, frame_velocity=frame_velocity)
+            try:
+                return advance(group.lattice, state, load, dt, substep=solver.substep, frame_velocity=frame_velocity)
+            except InputError as error:
+                raise InputError(error.what, where="solver.substep", mend=error.mend) from None
         return advance_implicit(
             group.lattice,
             state,
