@@ -88,7 +88,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     for index, spec in enumerate(scene.model):
         path, part = part_of(spec.file, spec.file_units)
         try:
-            chosen = chosen_faces(part, spec)
+            chosen = chosen_faces(part, spec.faces, spec.instances)
         except InputError as error:
             raise InputError(
                 f"model {spec.name!r}: {path.name} has {error.what}",
@@ -106,7 +106,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
         bodies.append(
             SourceBody(
                 spec.name,
-                tuple(_source_face(part, face, scene.units) for face in chosen),
+                tuple(source_face(part, face, scene.units) for face in chosen),
                 frozenset(f"{path}#{solid[face.number]}" for face in chosen),
             )
         )
@@ -150,7 +150,8 @@ def sculptable(part: Part, face: Face) -> BSplineSurface:
     return elevated(face.surface, SMOOTH_DEGREE, SMOOTH_DEGREE)
 
 
-def _source_face(part: Part, face: Face, units: str) -> SourceFace:
+def source_face(part: Part, face: Face, units: str) -> SourceFace:
+    """A face of a part as the engine takes it, in `units`. Raises InputError naming a face that has no surface."""
     try:
         surface = sculptable(part, face).scaled(conversion("mm", units))
     except CadsculptError as error:
@@ -176,7 +177,7 @@ def _tool_faces(
     if spec.file is None:
         raise InputError("a surface tool needs a file", where=f"tool {spec.name!r}", mend='write file = "..."')
     _, part = part_of(spec.file, spec.file_units)
-    return [_source_face(part, face, scene.units) for face in part.faces.select(spec.faces or "all")]
+    return [source_face(part, face, scene.units) for face in part.faces.select(spec.faces or "all")]
 
 
 def _tool_mesh(spec: ToolSpec, file: Path, units: str) -> TriangleMesh:

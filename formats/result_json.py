@@ -22,8 +22,9 @@ from .._version import __version__
 from ..errors import InputError
 from ..expect import Expectation as Expectation
 from ..expect import condition_in_words as condition_in_words
-from ..export_fit import ExportedFace, ExportedSeam
+from ..export_fit import ExportedFace
 from ..history import Summary
+from ..seam_fit import ExportedSeam
 from .atomic import write_whole
 
 MOST_STEPS = 2000

@@ -133,8 +133,7 @@ def four() -> list[SourceFace]:
 
 def test_seams_are_found_point_by_point():
     for faces in (two(), four()):
-        session = session_of(faces, 4.0)
-        seams = seams_of(session.model.patches)
+        seams = seams_of(faces)
         assert len(seams) == (1 if len(faces) == 2 else 4)
         for seam in seams:
             a, b = faces[seam.a].surface, faces[seam.b].surface
@@ -142,9 +141,9 @@ def test_seams_are_found_point_by_point():
             assert len(seam.uv_a) >= 200
             assert seam.tolerance == pytest.approx(max(1e-7 * max(a.size, b.size), 1e-7))
             assert seam.rest_angle < 1e-6
-    corners = corners_of(session.model.patches)
+    corners = corners_of(faces)
     assert max(len(corner.places) for corner in corners) == 4
-    assert sorted(in_turn(session.model.patches, seams)) == [0, 1, 2, 3]
+    assert sorted(in_turn(faces, seams)) == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("make", [two, four])

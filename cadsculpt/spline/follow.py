@@ -18,7 +18,7 @@ from .hold import Hold
 from .joints import joints, unknowns
 from .matrices import breakpoints, design_matrix
 from .net_fit import Given, NodeField
-from .refine import insert_knots
+from .refine import SAME_KNOT, insert_knots
 from .surface import BSplineSurface
 
 Array = NDArray[np.float64]
@@ -26,9 +26,6 @@ Mask = NDArray[np.bool_]
 
 ON_SIDE = 1e-7
 """An edge this near to a side of the domain, as a part of the domain, is that side."""
-
-SAME_KNOT = 1e-9
-"""Knots this near, as a part of the domain, are one knot: what passing through another face's parameters costs."""
 
 MOST_ROUNDS = 40
 

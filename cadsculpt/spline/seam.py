@@ -12,7 +12,7 @@ from .surface import BSplineSurface
 
 Array = NDArray[np.float64]
 
-POINTS = 256
+POINTS = 1024
 """Places along a seam where its two sides are compared, at least."""
 
 MEETING = 1e-4

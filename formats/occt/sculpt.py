@@ -57,7 +57,7 @@ def sculpt(part: OcctPart, surfaces: Mapping[int, BSplineSurface]) -> Moved:
             others = ", ".join(map(str, twins[:6])) + (", ..." if len(twins) > 6 else "")
             part.warnings.append(
                 f"face {number} is placed several times: its new shape shows in face {others} as well"
-                " (name its instance in the scene's instances to change one place)"
+                " (name its instance, in the scene's instances or with --instance, to change one place)"
             )
     before = Gaps([faces[number] for number in chosen])
     for number in chosen:

@@ -1,0 +1,219 @@
+"""Faces refitted together: each to a tolerance of its nodes, one after the other, so that common edges stay closed.
+
+A face whose neighbours are fitted already follows them along the edges and at the corners that they share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import GeometryError
+from .export_seams import Corner, agreed, corners_of, in_turn, lead_along
+from .patch import SourceFace
+from .spline.adapt import Goal, ToleranceFit, fit_to_tolerance, judged
+from .spline.between import denser
+from .spline.follow import Following, Lead, edge_knots, follows, side_of
+from .spline.hold import Hold
+from .spline.net_fit import NodeField, still_sides
+from .spline.seam import RELATIVE, Seam, angle, gap
+from .spline.surface import BSplineSurface
+
+Array = NDArray[np.float64]
+
+Knots = tuple[Array, Array]
+
+MUCH = 1.1
+"""A fit that closes its seams better is preferred to one that is nearer to the nodes by no more than this."""
+
+FINER = 4
+"""Where a face cannot follow another along their edge as nearly as it must, its nodes are made twice as many, so often."""
+
+STRAYING = 2.0
+"""A fit that strays between the nodes by more than this many tolerances is not taken if there is another."""
+
+GROWN = 1.05
+"""A gap that the file has itself may come back this much larger."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaceMotion:
+    """A face and how its nodes move.
+
+    source : the face as read. field : the displacement of its nodes. hold : what of it stays where it is. goal : of its
+    refit. working : knots (u, v) of a net that follows every node. last : the fit to take where the nodes determine none;
+    without it that is an error.
+    """
+
+    source: SourceFace
+    field: NodeField
+    hold: Hold
+    goal: Goal
+    working: Knots
+    last: Callable[[], ToleranceFit] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedSeam:
+    """A common edge of two sculpted faces, or the seam of a closed one, as it goes to CAD.
+
+    gap, angle : largest distance of the two sides and largest angle of their tangent planes (degrees), on the exported
+    surfaces; as_read : the same on the file's. tolerance : the gap that the file lets it have.
+    """
+
+    faces: tuple[str, str]
+    gap: float
+    gap_as_read: float
+    tolerance: float
+    angle: float
+    angle_as_read: float
+
+    @property
+    def open(self) -> bool:
+        """Whether it is farther apart than the file lets it be, and than it was."""
+        return self.gap > max(self.tolerance, GROWN * self.gap_as_read)
+
+    @classmethod
+    def of(cls, seam: Seam, faces: Sequence[SourceFace], surfaces: Sequence[BSplineSurface]) -> ExportedSeam:
+        a, b = surfaces[seam.a], surfaces[seam.b]
+        return cls(
+            faces=(faces[seam.a].name, faces[seam.b].name),
+            gap=gap(seam, a, b),
+            gap_as_read=seam.rest_gap,
+            tolerance=seam.tolerance,
+            angle=angle(seam, a, b),
+            angle_as_read=seam.rest_angle,
+        )
+
+
+def open_seams(seams: Sequence[ExportedSeam], unit: str) -> str:
+    """What to say of the seams that are open, "" where none is."""
+    found = [seam for seam in seams if seam.open]
+    if not found:
+        return ""
+    worst = max(found, key=lambda seam: seam.gap)
+    a, b = worst.faces
+    others = f" ({len(found)} edges are above their tolerance)" if len(found) > 1 else ""
+    return (
+        f"the faces {a!r} and {b!r} are up to {worst.gap:.3g} {unit} apart along their common edge, "
+        f"above its tolerance {worst.tolerance:.3g} {unit}{others}"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointFit:
+    """The fits of faces, one for each, and their seams. Each fit is judged by the face's own nodes, whatever it was brought
+    to agree with; `agreed` tells which were within their tolerance of what they agreed on."""
+
+    fits: tuple[ToleranceFit, ...]
+    agreed: tuple[bool, ...]
+    seams: tuple[ExportedSeam, ...]
+
+
+def fit_together(motions: Sequence[FaceMotion], seams: Sequence[Seam], *, smooth: bool) -> JointFit:
+    """Fit faces so that they stay together along their common edges; smooth : and tangent where they were.
+
+    seams : of the faces, as `seams_of` finds them.
+
+    Raises GeometryError naming a face whose nodes determine no net.
+    """
+    faces = [motion.source for motion in motions]
+    corners = corners_of(faces)
+    still = min((motion.goal.threshold for motion in motions), default=0.0)
+    fields = agreed(faces, [motion.field for motion in motions], seams, still)
+    fits: dict[int, ToleranceFit] = {}
+    for i in in_turn(faces, seams):
+        fits[i] = _fitted(motions[i], fields[i], _leads(i, faces, seams, corners, fits, smooth=smooth))
+    own = [
+        judged(fits[i].fit.against(motion.field), fits[i].knots, motion.field, motion.goal, fits[i].outcome)
+        for i, motion in enumerate(motions)
+    ]
+    surfaces = [fit.surface for fit in own]
+    return JointFit(
+        tuple(own),
+        tuple(fits[i].outcome == "within" for i in range(len(motions))),
+        tuple(ExportedSeam.of(seam, faces, surfaces) for seam in seams),
+    )
+
+
+def _leads(
+    index: int,
+    faces: Sequence[SourceFace],
+    seams: Sequence[Seam],
+    corners: Sequence[Corner],
+    fits: Mapping[int, ToleranceFit],
+    *,
+    smooth: bool,
+) -> tuple[Lead, ...]:
+    """What a face must follow of the faces that are fitted already: along common edges, and at corners."""
+    own, leads = faces[index].surface, list[Lead]()
+    for seam in seams:
+        for side in (seam, seam.swapped()):
+            if side.b == index and side.a in fits and side.a != index:
+                lead = fits[side.a].fit
+                leads.append(lead_along(side, lead.surface, lead.displacement, own, smooth=smooth))
+    for corner in corners:
+        places = dict(corner.places)
+        before = [i for i in places if i in fits and i != index]
+        if index in places and before:
+            lead = fits[before[0]].fit
+            leads.append(Lead(places[index][None], lead.along(places[before[0]][None]), RELATIVE * own.size))
+    return tuple(leads)
+
+
+def _fitted(motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], finer: int = FINER) -> ToleranceFit:
+    goal, read = motion.goal, motion.source.surface
+    still = still_sides(read, field, goal.threshold)
+    following = Following(replace(motion.hold, curves=(*motion.hold.curves, *still)), leads)
+    tries: list[tuple[Knots | None, Knots | None]] = [(None, None)]
+    if goal.refine:
+        # with the knots that the faces it follows have; where its nodes do not determine such a net, with fewer of them; and
+        # with those of a net that follows every node, which they do determine
+        along = [edge_knots(read, field, leads, goal.max_control_points, strict=strict) for strict in (False, True)]
+        tries = [*((knots, None) for knots in along[: 2 if leads else 1]), (None, motion.working)]
+    fits: list[ToleranceFit] = []
+    for kept, start in tries:
+        with suppress(GeometryError):
+            fits.append(fit_to_tolerance(read, field, goal, constraint=following.given, kept=kept, start=start))
+            if goal.refine and finer and not _closes(fits[-1], leads):
+                # an edge may need knots closer than the nodes stand: their own interpolation says what is between
+                return _fitted(motion, denser(field, read.domain, _along(read, leads)), leads, finer=finer - 1)
+            if goal.refine and finer and fits[-1].outcome == "within" and fits[-1].between > goal.tolerance:
+                return _calmed(motion, field, leads, fits[-1])
+            near = fits[-1].outcome == "within" and fits[-1].between <= STRAYING * goal.tolerance
+            if near or fits[-1].outcome == "limit":
+                return fits[-1]
+    if not fits:
+        if motion.last is None:
+            raise GeometryError(
+                "its nodes determine no net", where=motion.source.name, mend="use a smaller node spacing"
+            )
+        return motion.last()
+    worst = [max(fit.error.maximum, fit.between) for fit in fits]
+    return fits[next(k for k, off in enumerate(worst) if off <= MUCH * min(worst))]
+
+
+def _along(surface: BSplineSurface, leads: Sequence[Lead]) -> set[int]:
+    """The directions in which a face must be fine to follow its leads: along its sides, or both."""
+    axes: set[int] = set()
+    for lead in leads:
+        if len(lead.uv) > 1:
+            side = side_of(surface, lead.uv)
+            axes |= {0, 1} if side is None else {1 - side.axis}
+    return axes or {0, 1}
+
+
+def _calmed(motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], fit: ToleranceFit) -> ToleranceFit:
+    """A fit that strays between its nodes, or the one to twice as many, interpolated, if that strays less."""
+    other = _fitted(motion, denser(field, motion.source.surface.domain), leads, finer=0)
+    calmed = judged(other.fit.against(field), other.knots, field, motion.goal, other.outcome)
+    worst = [max(each.error.maximum, each.between) for each in (calmed, fit)]
+    return calmed if worst[0] < worst[1] else fit
+
+
+def _closes(fit: ToleranceFit, leads: tuple[Lead, ...]) -> bool:
+    return bool((fit.fit.lacking() <= 1.0).all()) and follows(fit.fit.surface, leads)
