@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -102,6 +102,8 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
                 where=f"model {spec.name!r}",
                 mend="name each face once",
             )
+        if not spec.rigid:
+            warnings += _alike(path, part, chosen)
         solid = _solids(part)
         bodies.append(
             SourceBody(
@@ -131,6 +133,19 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     return Loaded(
         scene, model, {path: part for path, part in parts.items() if path in models}, tuple(faces), tuple(warnings)
     )
+
+
+def _alike(path: Path, part: Part, chosen: Sequence[Face]) -> list[str]:
+    """A warning where two of the chosen faces are one in two places."""
+    numbers = {face.number for face in chosen}
+    for face in chosen:
+        if both := numbers.intersection(part.twins(face.number)):
+            other = part.faces.number(min(both))
+            return [
+                f"{path.name}: the faces {face.name!r} and {other.name!r} are one face in two places, which can only take the "
+                "same shape; to let them differ name the places in instances"
+            ]
+    return []
 
 
 def _solids(part: Part) -> dict[int, int]:

@@ -173,6 +173,10 @@ class Part(ABC):
         """
         raise InputError("the part has no instances", where=str(self.path), mend="leave instances out")
 
+    def twins(self, number: int) -> tuple[int, ...]:
+        """The numbers of the other faces that are this one in another place: they can only change alike."""
+        return ()
+
     @property
     def extent(self) -> float:
         """Longest side of a box around the part, mm, about right: from the control points. 0 without surfaces."""

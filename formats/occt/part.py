@@ -84,6 +84,7 @@ class OcctPart(Part):
         )
         self._number.count(found)
         self._instances: tuple[Instance, ...] | None = None
+        self._places: dict[int, tuple[int, ...]] | None = None
         self._as_read: Validity | None = None
         self._areas: dict[int, tuple[float, float]] = {}
         self.source = source
@@ -107,6 +108,15 @@ class OcctPart(Part):
         from ..step_instances import separated
 
         return separated(self, self.source, instances)
+
+    def twins(self, number: int) -> tuple[int, ...]:
+        if self._places is None:
+            shapes = [self.face(face.number).shape.TShape() for face in self.faces]
+            by_shape: dict[int, list[int]] = {}
+            for n, shape in enumerate(shapes, 1):
+                by_shape.setdefault(id(shape), []).append(n)
+            self._places = {n: tuple(group) for group in by_shape.values() for n in group}
+        return tuple(n for n in self._places[number] if n != number)
 
     @property
     def extent(self) -> float:
