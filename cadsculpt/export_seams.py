@@ -30,6 +30,9 @@ SMOOTH = 0.5
 TURN = 0.05
 """Degrees that a face may turn against the one that it follows, where they stay tangent."""
 
+NEARER = 0.8
+"""How near a face must come to the one that it follows, in gaps that are allowed: the gap is seen between those places too."""
+
 CORNER = 1e-6
 """Ends of edges nearer than this part of the faces' size are one corner."""
 
@@ -175,7 +178,7 @@ def lead_along(
         along = np.stack([np.linalg.lstsq(m, x, rcond=1e-9)[0] for m, x in zip(basis, wanted, strict=True)])
         across = displacement_along(leader, displacement, seam.uv_a, along)
         slack = np.radians(TURN) * np.maximum(np.linalg.norm(wanted, axis=1), 1e-9 * follower.size)
-    return Lead(seam.uv_b, moved, 0.5 * seam.allowed, across, direction, slack, knots)
+    return Lead(seam.uv_b, moved, NEARER * seam.allowed, across, direction, slack, knots)
 
 
 def _across(surface: BSplineSurface, uv: Array) -> Array:

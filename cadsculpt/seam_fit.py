@@ -17,7 +17,7 @@ from .export_seams import Corner, agreed, corners_of, in_turn, lead_along
 from .patch import SourceFace
 from .spline.adapt import Goal, ToleranceFit, fit_to_tolerance, judged
 from .spline.between import denser
-from .spline.follow import Following, Lead, edge_knots, follows, side_of
+from .spline.follow import Following, Lead, edge_knots, follows, follows_with_its_knots, side_of
 from .spline.hold import Hold
 from .spline.net_fit import NodeField, still_sides
 from .spline.seam import RELATIVE, Seam, angle, gap
@@ -30,8 +30,11 @@ Knots = tuple[Array, Array]
 MUCH = 1.1
 """A fit that closes its seams better is preferred to one that is nearer to the nodes by no more than this."""
 
-FINER = 4
+FINER = 5
 """Where a face cannot follow another along their edge as nearly as it must, its nodes are made twice as many, so often."""
+
+MANY = 400
+"""Nodes along a side, fewer of which would keep the knots with which it follows another face away from where they do most."""
 
 STRAYING = 2.0
 """A fit that strays between the nodes by more than this many tolerances is not taken if there is another."""
@@ -169,6 +172,8 @@ def _fitted(motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], finer
     goal, read = motion.goal, motion.source.surface
     still = still_sides(read, field, goal.threshold)
     following = Following(replace(motion.hold, curves=(*motion.hold.curves, *still)), leads)
+    if goal.refine and finer and (axes := _sparse(read, field, leads)):
+        return _fitted(motion, denser(field, read.domain, axes), leads, finer=finer - 1)
     tries: list[tuple[Knots | None, Knots | None]] = [(None, None)]
     if goal.refine:
         # with the knots that the faces it follows have; where its nodes do not determine such a net, with fewer of them; and
@@ -195,6 +200,20 @@ def _fitted(motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], finer
         return motion.last()
     worst = [max(fit.error.maximum, fit.between) for fit in fits]
     return fits[next(k for k, off in enumerate(worst) if off <= MUCH * min(worst))]
+
+
+def _sparse(surface: BSplineSurface, field: NodeField, leads: Sequence[Lead]) -> set[int]:
+    """The directions of sides that need knots beyond those of their leads, and have few nodes."""
+    axes: set[int] = set()
+    for lead in leads:
+        side = side_of(surface, lead.uv)
+        if (
+            side is not None
+            and len((field.u, field.v)[1 - side.axis]) < MANY
+            and not follows_with_its_knots(surface, lead)
+        ):
+            axes.add(1 - side.axis)
+    return axes
 
 
 def _along(surface: BSplineSurface, leads: Sequence[Lead]) -> set[int]:

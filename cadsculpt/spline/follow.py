@@ -29,6 +29,21 @@ ON_SIDE = 1e-7
 
 MOST_ROUNDS = 40
 
+MOST_PIECES = 4
+"""A span is cut into no more pieces at once."""
+
+LEAST = 1e-4
+"""A span that is off by a smaller share of the tolerance is taken for one that is off by this: rounding is no curvature."""
+
+SURE = 0.8
+"""How near a curve must come by its own knots, in tolerances: those that the nodes ask for later change it a little."""
+
+SPREADS = 16
+"""Tries to follow with knots that are spread."""
+
+LARGER = 1.05
+"""Where knots were too few the next try has more, by this beyond what their order of convergence asks for."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lead:
@@ -204,26 +219,108 @@ def edge_knots(
             continue
         along = 1 - side.axis
         nodes = (field.u, field.v)[along]
-        found[along] = _joined(surface, along, found[along], np.sort(lead.knots), nodes if strict else None)
-        before, idle = np.inf, 0
-        for _ in range(MOST_ROUNDS):
-            net = insert_knots(surface, *found)
-            off = _off(net, side, lead)
-            # where halving spans does not help the curve is none that this net has: what is left is told as a gap
-            idle = idle + 1 if off.max() > 0.5 * before else 0
-            before = float(off.max())
-            if before <= 1.0 or idle > 1:
-                break
-            borders = breakpoints(*_direction(net, along))
-            t = np.clip(lead.uv[:, along], *net.domain[along])
-            span = np.clip(np.searchsorted(borders, t, side="right") - 1, 0, len(borders) - 2)
-            halves = np.array([0.5 * (borders[k] + borders[k + 1]) for k in np.unique(span[off > 1.0])])
-            more = _joined(surface, along, found[along], halves, nodes)
-            shape = [surface.shape[k] + len(more if k == along else found[k]) for k in (0, 1)]
-            if len(more) == len(found[along]) or shape[0] * shape[1] > most_control_points:
-                break
-            found[along] = more
+        theirs = _joined(surface, along, found[along], np.sort(lead.knots), nodes if strict else None)
+        most = most_control_points // (surface.shape[1 - along] + len(found[1 - along])) - surface.shape[along]
+        search = _EdgeSearch(surface, side, lead, nodes, found[1 - along], theirs, most)
+        found[along] = search.found()
     return found[0], found[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _EdgeSearch:
+    """A search for the knots along a side with which it follows a lead: `known`, and no more than `most`.
+
+    across : the knots of the other direction. nodes : parameters along the side, one of which must be on either side of a knot.
+    """
+
+    surface: BSplineSurface
+    side: Side
+    lead: Lead
+    nodes: Array
+    across: Array
+    known: Array
+    most: int
+
+    @property
+    def along(self) -> int:
+        return 1 - self.side.axis
+
+    def found(self) -> Array:
+        """Spans that are too far off are cut until none is; then the knots are spread so that all are off alike."""
+        knots, off = self.known, self._off(self.known)
+        idle = 0
+        for _ in range(MOST_ROUNDS):
+            if off.max() <= SURE or idle > 1:
+                break
+            more = self._joined(knots, self._cuts(knots, off))
+            if len(more) == len(knots) or len(more) > self.most:
+                break
+            before, knots, off = float(off.max()), more, self._off(more)
+            # where cutting does not help the curve is none that this net has: what is left is told as a gap
+            idle = idle + 1 if off.max() > 0.5 * before else 0
+        return self._spread(knots, off / SURE) if off.max() <= SURE else knots
+
+    def _net(self, knots: Array) -> BSplineSurface:
+        return insert_knots(self.surface, *((knots, self.across) if self.along == 0 else (self.across, knots)))
+
+    def _off(self, knots: Array) -> Array:
+        return _off(self._net(knots), self.side, self.lead)
+
+    def _joined(self, knots: Array, wanted: Array) -> Array:
+        return _joined(self.surface, self.along, knots, wanted, self.nodes)
+
+    def _spans(self, knots: Array, off: Array) -> tuple[Array, Array]:
+        """The borders of the net's spans, and how far each is off."""
+        borders = np.union1d(breakpoints(*_direction(self.surface, self.along)), knots)
+        t = np.clip(self.lead.uv[:, self.along], *self.surface.domain[self.along])
+        span = np.clip(np.searchsorted(borders, t, side="right") - 1, 0, len(borders) - 2)
+        worst = np.zeros(len(borders) - 1)
+        np.maximum.at(worst, span, off)
+        return borders, worst
+
+    def _cuts(self, knots: Array, off: Array) -> Array:
+        """Where to cut the spans that are too far off, in two, or in as many as their order of convergence asks for."""
+        borders, worst = self._spans(knots, off)
+        order = _direction(self.surface, self.along)[1] + 1
+        cuts: list[float] = []
+        for k in np.flatnonzero(worst > SURE):
+            pieces = int(np.clip(np.ceil(worst[k] ** (1.0 / order)), 2, MOST_PIECES))
+            cuts += list(np.linspace(borders[k], borders[k + 1], pieces + 1)[1:-1])
+        return np.array(cuts)
+
+    def _spread(self, knots: Array, off: Array) -> Array:
+        """As few knots as can be beside those that are known: each span takes an equal share of what the curve asks for there
+        (de Boor 1974), which grows where a try was too far off; those there are where no try has fewer."""
+        order = _direction(self.surface, self.along)[1] + 1
+        fixed = np.union1d(breakpoints(*_direction(self.surface, self.along)), self.known)
+        borders, worst = self._spans(knots, off)
+        asked = np.maximum(worst, LEAST) ** (1.0 / order)
+        for _ in range(SPREADS):
+            need = np.concatenate([[0.0], np.cumsum(asked)])
+            ends = np.interp(fixed, borders, need)
+            wanted: list[float] = []
+            for low, high in zip(ends[:-1], ends[1:], strict=True):
+                pieces = max(1, int(np.ceil(high - low)))
+                wanted += list(np.interp(low + (high - low) * np.arange(1, pieces) / pieces, need, borders))
+            fewer = self._joined(self.known, self._at_nodes(np.array(wanted)))
+            if len(fewer) >= len(knots):
+                break
+            now = self._off(fewer) / SURE
+            if now.max() <= 1.0:
+                return fewer
+            ends, worst = self._spans(fewer, now)
+            # a span of the try holds several of those that what is asked is known of
+            first, last = (np.searchsorted(ends, borders[:-1], "right") - 1, np.searchsorted(ends, borders[1:], "left"))
+            here = np.array([worst[i:j].max() for i, j in zip(first, last, strict=True)])
+            asked *= np.where(here > 1.0, LARGER * here ** (1.0 / order), 1.0)
+        return knots
+
+    def _at_nodes(self, wanted: Array) -> Array:
+        """The nodes nearest to ascending places, each once: knots at nodes have one on either side."""
+        nearest = np.abs(wanted[:, None] - self.nodes).argmin(axis=1)
+        step = np.arange(len(nearest))
+        apart = np.maximum.accumulate(nearest - step) + step
+        return self.nodes[apart[apart < len(self.nodes)]]
 
 
 def follows(net: BSplineSurface, leads: Sequence[Lead]) -> bool:
@@ -231,6 +328,17 @@ def follows(net: BSplineSurface, leads: Sequence[Lead]) -> bool:
     return all(
         bool((_off(net, side, lead) <= 1.0).all()) for lead in leads if (side := side_of(net, lead.uv)) is not None
     )
+
+
+def follows_with_its_knots(surface: BSplineSurface, lead: Lead) -> bool:
+    """Whether a face follows a lead along one of its sides with the leading face's knots alone."""
+    side = side_of(surface, lead.uv)
+    if side is None:
+        return False
+    none = np.zeros(0)
+    knots = _joined(surface, 1 - side.axis, none, np.sort(lead.knots), None)
+    net = insert_knots(surface, *((knots, none) if side.axis == 1 else (none, knots)))
+    return bool((_off(net, side, lead) <= 1.0).all())
 
 
 def _joined(surface: BSplineSurface, axis: int, known: Array, wanted: Array, nodes: Array | None) -> Array:
