@@ -17,7 +17,7 @@ from .export_seams import Corner, agreed, corners_of, in_turn, lead_along
 from .patch import SourceFace
 from .spline.adapt import Goal, ToleranceFit, fit_to_tolerance, judged
 from .spline.between import denser
-from .spline.follow import Following, Lead, edge_knots, follows, follows_with_its_knots, side_of
+from .spline.follow import Following, Lead, corner_point, edge_knots, follows, follows_with_its_knots, side_of
 from .spline.hold import Hold
 from .spline.net_fit import NodeField, still_sides
 from .spline.seam import RELATIVE, Seam, angle, gap
@@ -32,6 +32,9 @@ MUCH = 1.1
 
 FINER = 5
 """Where a face cannot follow another along their edge as nearly as it must, its nodes are made twice as many, so often."""
+
+MEETS = 1e-6
+"""A corner this near to an edge, as a part of the domain, lies on it."""
 
 MANY = 400
 """Nodes along a side, fewer of which would keep the knots with which it follows another face away from where they do most."""
@@ -163,9 +166,18 @@ def _leads(
         places = dict(corner.places)
         before = [i for i in places if i in fits and i != index]
         if index in places and before:
+            # an edge that it follows ends here as well: only a control point that is the corner is given twice
+            if _met(own, leads, places[index]) and corner_point(own, places[index][None]) is None:
+                continue
             lead = fits[before[0]].fit
             leads.append(Lead(places[index][None], lead.along(places[before[0]][None]), RELATIVE * own.size))
     return tuple(leads)
+
+
+def _met(surface: BSplineSurface, leads: Sequence[Lead], uv: Array) -> bool:
+    """Whether an edge that is followed runs through a place uv (2,)."""
+    reach = np.diff(np.array(surface.domain), axis=1)[:, 0]
+    return any(bool((np.abs(lead.uv - uv) <= MEETS * reach).all(axis=1).any()) for lead in leads if len(lead.uv) > 1)
 
 
 def _fitted(motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], finer: int = FINER) -> ToleranceFit:

@@ -117,7 +117,7 @@ class Following:
                 for depth, row in enumerate(boundary_rows(net, side, lead)):
                     index = _row(net, side, depth)
                     _share(values, times, mask, index, row)
-            elif (corner := _corner(net, lead.uv)) is not None:
+            elif (corner := corner_point(net, lead.uv)) is not None:
                 _share(values, times, mask, corner, lead.displacement[0])
             else:
                 asked.append(Asked(lead.uv, lead.displacement, np.full(len(lead.uv), lead.tolerance)))
@@ -139,7 +139,7 @@ def _row(net: BSplineSurface, side: Side, depth: int) -> tuple[int | slice, ...]
     return (place, slice(None)) if side.axis == 0 else (slice(None), place)
 
 
-def _corner(net: BSplineSurface, uv: Array) -> tuple[int, int] | None:
+def corner_point(net: BSplineSurface, uv: Array) -> tuple[int, int] | None:
     """The control point that is the surface at a single place uv (1, 2), if it is a corner of a clamped domain."""
     if len(uv) != 1:
         return None
