@@ -82,9 +82,9 @@ def export_fit(session: Session) -> Exported:
     # those of tools come last, and go nowhere
     patches = [patch for patch in model.patches if patch.body < model.models]
     motions = [_motion(session, i) for i in range(len(patches))]
-    made = fit_together(
-        motions, seams_of([patch.source for patch in patches]), smooth=model.scene.refit.continuity == "G1"
-    )
+    refit = model.scene.refit
+    seams = seams_of([patch.source for patch in patches], refit.seam_tolerance)
+    made = fit_together(motions, seams, smooth=refit.continuity == "G1")
     faces = tuple(
         _face(session, i, fit, agreed=agreed)
         for i, (fit, agreed) in enumerate(zip(made.fits, made.agreed, strict=True))

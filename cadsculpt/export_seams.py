@@ -13,7 +13,7 @@ from .spline.between import known_at
 from .spline.equations import displacement_along
 from .spline.follow import Lead, side_of
 from .spline.net_fit import NodeField
-from .spline.seam import Seam, own_seam, seam_of
+from .spline.seam import RELATIVE, Bound, Seam, own_seam, seam_of
 from .spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
@@ -37,33 +37,44 @@ CORNER = 1e-6
 """Ends of edges nearer than this part of the faces' size are one corner."""
 
 
-def seams_of(faces: Sequence[SourceFace]) -> tuple[Seam, ...]:
-    """The common edges of faces, and the seams of closed ones."""
+def seams_of(faces: Sequence[SourceFace], tolerance: float | None = None) -> tuple[Seam, ...]:
+    """The common edges of faces, and the seams of closed ones. tolerance : how far apart they may be, whatever the file
+    says."""
+    wanted = None if tolerance is None else Bound(tolerance, "scene")
     found: list[Seam] = []
     for i, a in enumerate(faces):
         surface = a.surface
         for axis, closed in enumerate((surface.closed_u, surface.closed_v)):
             if closed and (surface.trims is None or any(edge.seam for edge in a.edges)):
-                found.append(own_seam(i, surface, axis, _tolerance(a, a.name, seam=True)))
+                found.append(own_seam(i, surface, axis, wanted or _bound(a, a)))
         for j in range(i + 1, len(faces)):
-            found += _between(i, a, j, faces[j])
+            found += _between(i, a, j, faces[j], wanted)
     return tuple(found)
 
 
-def _tolerance(face: SourceFace, other: str, *, seam: bool = False) -> float:
-    return max(
-        (edge.tolerance for edge in face.edges if (edge.seam if seam else other in edge.neighbours)),
-        default=0.0,
-    )
+def _bound(a: SourceFace, b: SourceFace) -> Bound | None:
+    """How far apart two faces (one and itself) may be along their common edge; None where nobody says."""
+    edges = [
+        edge
+        for face, other in ((a, b), (b, a))
+        for edge in face.edges
+        if (edge.seam if a is b else other.name in edge.neighbours)
+    ]
+    own = max((edge.tolerance for edge in edges if not edge.stated), default=0.0)
+    stated = min((edge.tolerance for edge in edges if edge.stated and edge.tolerance > 0.0), default=0.0)
+    if stated >= own and stated > 0.0:
+        return Bound(stated, "file")
+    size = RELATIVE * max(a.surface.size, b.surface.size)
+    return Bound(own, "edge") if own > size else None
 
 
-def _between(i: int, a: SourceFace, j: int, b: SourceFace) -> list[Seam]:
+def _between(i: int, a: SourceFace, j: int, b: SourceFace, wanted: Bound | None) -> list[Seam]:
     """The seams of two faces that name each other as neighbours."""
     edges_a = [edge.uv for edge in a.edges if b.name in edge.neighbours and not edge.degenerate]
     edges_b = [edge.uv for edge in b.edges if a.name in edge.neighbours and not edge.degenerate]
     if not edges_a or not edges_b:
         return []
-    tolerance = max(_tolerance(a, b.name), _tolerance(b, a.name))
+    tolerance = wanted or _bound(a, b)
     first, second = a.surface, b.surface
     found = [seam_of(i, first, uv, j, second, edges_b, tolerance) for uv in edges_a]
     if not any(found):
@@ -155,10 +166,13 @@ def _steps(nodes: Array, axis: int) -> Array:
 
 
 def lead_along(
-    seam: Seam, leader: BSplineSurface, displacement: Array, follower: BSplineSurface, *, smooth: bool
+    seam: Seam, leader: BSplineSurface, displacement: Array, follower: BSplineSurface, tolerance: float, *, smooth: bool
 ) -> Lead:
     """What face seam.b must do to follow face seam.a, whose surface as read, over its final net, is `leader` and whose control
-    points move by `displacement`. smooth : keep the two tangent as well, where they were."""
+    points move by `displacement`.
+
+    tolerance : of the refit; the edge comes no less near. smooth : keep the two tangent as well, where they were.
+    """
     moved = displacement_along(leader, displacement, seam.uv_a)
     knots = np.zeros(0)
     side, own = side_of(follower, seam.uv_b), side_of(leader, seam.uv_a)
@@ -178,7 +192,7 @@ def lead_along(
         along = np.stack([np.linalg.lstsq(m, x, rcond=1e-9)[0] for m, x in zip(basis, wanted, strict=True)])
         across = displacement_along(leader, displacement, seam.uv_a, along)
         slack = np.radians(TURN) * np.maximum(np.linalg.norm(wanted, axis=1), 1e-9 * follower.size)
-    return Lead(seam.uv_b, moved, NEARER * seam.allowed, across, direction, slack, knots)
+    return Lead(seam.uv_b, moved, min(NEARER * seam.allowed, tolerance), across, direction, slack, knots)
 
 
 def _across(surface: BSplineSurface, uv: Array) -> Array:

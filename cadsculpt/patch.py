@@ -40,7 +40,8 @@ cells are slivers that would dictate the time step."""
 class SourceEdge:
     """An edge of a face to be sculpted: uv (n, 2) along it, and the names of the other faces that share it.
 
-    tolerance : how far apart the file lets these faces be there, in the scene's unit; 0 when it does not say.
+    tolerance : how far apart the file lets these faces be there, in the scene's unit; 0 when it does not say. stated : it is
+    what the file says of all its geometry, not of this edge.
     """
 
     uv: Array
@@ -48,6 +49,7 @@ class SourceEdge:
     seam: bool = False
     degenerate: bool = False
     tolerance: float = 0.0
+    stated: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

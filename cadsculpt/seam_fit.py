@@ -20,7 +20,7 @@ from .spline.between import denser
 from .spline.follow import Following, Lead, corner_point, edge_knots, follows, follows_with_its_knots, side_of
 from .spline.hold import Hold
 from .spline.net_fit import NodeField, still_sides
-from .spline.seam import RELATIVE, Seam, angle, gap
+from .spline.seam import RELATIVE, Seam, Source, angle, gap
 from .spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
@@ -68,7 +68,8 @@ class ExportedSeam:
     """A common edge of two sculpted faces, or the seam of a closed one, as it goes to CAD.
 
     gap, angle : largest distance of the two sides and largest angle of their tangent planes (degrees), on the exported
-    surfaces; as_read : the same on the file's. tolerance : the gap that the file lets it have.
+    surfaces; as_read : the same on the file's. tolerance : the gap that it may have; tolerance_from : who says so, the
+    "file", its "edge", the "scene", or nobody, and then it is a part of the faces' "size".
     """
 
     faces: tuple[str, str]
@@ -77,6 +78,7 @@ class ExportedSeam:
     tolerance: float
     angle: float
     angle_as_read: float
+    tolerance_from: Source = "size"
 
     @property
     def open(self) -> bool:
@@ -93,7 +95,16 @@ class ExportedSeam:
             tolerance=seam.tolerance,
             angle=angle(seam, a, b),
             angle_as_read=seam.rest_angle,
+            tolerance_from=seam.source,
         )
+
+
+_WHOSE = {
+    "file": "the file's tolerance",
+    "edge": "the edge's tolerance",
+    "scene": "refit.seam_tolerance",
+    "size": "1e-7 of their size,",
+}
 
 
 def open_seams(seams: Sequence[ExportedSeam], unit: str) -> str:
@@ -106,7 +117,7 @@ def open_seams(seams: Sequence[ExportedSeam], unit: str) -> str:
     others = f" ({len(found)} edges are above their tolerance)" if len(found) > 1 else ""
     return (
         f"the faces {a!r} and {b!r} are up to {worst.gap:.3g} {unit} apart along their common edge, "
-        f"above its tolerance {worst.tolerance:.3g} {unit}{others}"
+        f"above {_WHOSE[worst.tolerance_from]} {worst.tolerance:.3g} {unit}{others}"
     )
 
 
@@ -133,7 +144,9 @@ def fit_together(motions: Sequence[FaceMotion], seams: Sequence[Seam], *, smooth
     fields = agreed(faces, [motion.field for motion in motions], seams, still)
     fits: dict[int, ToleranceFit] = {}
     for i in in_turn(faces, seams):
-        fits[i] = _fitted(motions[i], fields[i], _leads(i, faces, seams, corners, fits, smooth=smooth))
+        fits[i] = _fitted(
+            motions[i], fields[i], _leads(i, faces, seams, corners, fits, motions[i].goal.tolerance, smooth=smooth)
+        )
     own = [
         judged(fits[i].fit.against(motion.field), fits[i].knots, motion.field, motion.goal, fits[i].outcome)
         for i, motion in enumerate(motions)
@@ -152,6 +165,7 @@ def _leads(
     seams: Sequence[Seam],
     corners: Sequence[Corner],
     fits: Mapping[int, ToleranceFit],
+    tolerance: float,
     *,
     smooth: bool,
 ) -> tuple[Lead, ...]:
@@ -161,7 +175,7 @@ def _leads(
         for side in (seam, seam.swapped()):
             if side.b == index and side.a in fits and side.a != index:
                 lead = fits[side.a].fit
-                leads.append(lead_along(side, lead.surface, lead.displacement, own, smooth=smooth))
+                leads.append(lead_along(side, lead.surface, lead.displacement, own, tolerance, smooth=smooth))
     for corner in corners:
         places = dict(corner.places)
         before = [i for i in places if i in fits and i != index]

@@ -68,6 +68,12 @@ MESHES = (".stl", ".obj", ".ply")
     default="G0",
     help="G1: faces that are tangent along a common edge stay so.",
 )
+@click.option(
+    "--seam-tolerance",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="MM",
+    help="How far moved faces may be apart along a common edge; what IN states when left out.",
+)
 @click.option("--force", is_flag=True, help="Overwrite OUT if it exists.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def command(
@@ -83,6 +89,7 @@ def command(
     reach: float | None,
     refit: float | None,
     continuity: str,
+    seam_tolerance: float | None,
     force: bool,
     quiet: bool,
 ) -> int:
@@ -105,9 +112,12 @@ def command(
         raise InputError(
             "--tolerance is for meshes", where=str(target), mend="write .stl, .obj or .ply, or leave it out"
         )
-    if field is None and (displaced or instances or field_units or reach or refit or continuity != "G0"):
+    if field is None and (
+        displaced or instances or field_units or reach or refit or seam_tolerance or continuity != "G0"
+    ):
         raise InputError(
-            "--displace, --instance, --displacement-units, --reach, --refit and --continuity go with --displacements",
+            "--displace, --instance, --displacement-units, --reach, --refit, --continuity and --seam-tolerance go with"
+            " --displacements",
             mend="name the file",
         )
     if target.exists() and not force:
@@ -130,6 +140,7 @@ def command(
                 among=named_faces(part, (), instances) if instances else None,
                 tolerance=refit,
                 continuity=continuity,
+                seam_tolerance=seam_tolerance,
             )
         progress.update("writing", remark=target.name)
         if faces:

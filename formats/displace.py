@@ -73,13 +73,15 @@ def displace(
     among: Sequence[Face] | None = None,
     tolerance: float | None = None,
     continuity: str = "G0",
+    seam_tolerance: float | None = None,
     on_face: Callable[[str], None] | None = None,
 ) -> Displaced:
     """Move the faces of a part along a field.
 
     faces : that may move; when left out all (those of `among`) that are near its points, but for those that are near only to
     the nodes of others. tolerance : mm between the nodes and the refit surface; what could not be met is in the part's
-    warnings. continuity : "G1" keeps faces tangent where they were, those that stay as well.
+    warnings. continuity : "G1" keeps faces tangent where they were, those that stay as well. seam_tolerance : mm that faces
+    may be apart along a common edge; what the file states when left out.
 
     Raises InputError when no point of the field is near the part, and nothing moves; GeometryError naming the faces whose
     common edge would open, and then nothing has changed.
@@ -106,7 +108,7 @@ def displace(
         nodes.append(found)
         motions.append(motion)
     sources = [motion.source for motion in motions]
-    seams = seams_of(sources)
+    seams = seams_of(sources, seam_tolerance)
     motions = _kept_still(motions, nodes, seams)
     made = fit_together(motions, seams, smooth=smooth)
     if apart := open_seams(made.seams, "mm"):

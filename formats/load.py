@@ -24,6 +24,7 @@ from . import mesh, registry
 from .instances import chosen_faces, named_instances
 from .part import Face, Part
 from .scene_toml import SceneFile
+from .stated_tolerance import stated_tolerance
 
 SPLINES = ("bspline", "bezier")
 SMOOTH_DEGREE = 3
@@ -66,6 +67,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     """
     parts: dict[Path, Part] = {}
     units_of: dict[Path, str | None] = {}
+    read: dict[Path, int] = {}
     apart = named_instances(scene, scene.folder)
     warnings: list[str] = list(scene.warnings)
 
@@ -81,6 +83,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
             parts[path] = registry.read(path, units=units)
             if path in apart:
                 parts[path] = parts[path].separated(apart[path])
+            read[path] = len(parts[path].warnings)
             warnings.extend(f"{path.name}: {line}" for line in parts[path].warnings)
         return path, parts[path]
 
@@ -130,6 +133,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     }
     model = build_model(scene, bodies, paths, rigid, meshes, tool_faces)
     models = {path for path, _ in used}
+    warnings += [f"{path.name}: {line}" for path, part in parts.items() for line in part.warnings[read[path] :]]
     return Loaded(
         scene, model, {path: part for path, part in parts.items() if path in models}, tuple(faces), tuple(warnings)
     )
@@ -173,15 +177,21 @@ def source_face(part: Part, face: Face, units: str) -> SourceFace:
         raise InputError(error.what, where=f"{part.path.name}, face {face.name!r}", mend=error.mend) from None
     if face.warning:
         part.warnings.append(f"face {face.name!r}: {face.warning}")
+    stated, doubt = stated_tolerance(part, face)
+    if doubt and doubt not in part.warnings:
+        part.warnings.append(doubt)
+    # a 3DM file states the tolerance of each edge as well; those of other formats' edges are the kernel's
     edges = tuple(
         SourceEdge(
             edge.uv,
             tuple(part.faces.number(n).name for n in edge.neighbours),
             edge.seam,
             edge.degenerate,
-            edge.tolerance * conversion("mm", units),
+            (edge.tolerance if own else stated) * conversion("mm", units),
+            not own,
         )
         for edge in face.edges
+        for own in [not stated or (part.format == "3dm" and edge.tolerance > stated)]
     )
     return SourceFace(face.number, face.name, surface, edges)
 

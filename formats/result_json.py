@@ -360,6 +360,7 @@ def result_schema() -> dict[str, Any]:
                     "properties": {
                         **dict.fromkeys([f.name for f in fields(ExportedSeam)], _OPTIONAL_NUMBER),
                         "faces": {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2},
+                        "tolerance_from": {"enum": ["file", "edge", "size", "scene"]},
                     },
                 },
             },

@@ -107,7 +107,7 @@ def load(path: Path, *, units: str | None = None, probing: bool = False, data: b
         )  # damage elsewhere than in the shape is kept as it is
         source = StepEntities.of(reader.ChangeReader(), data) if sound else None
     return OcctPart(document, path, "step", unit, warnings=warnings, schema=facts.schema, source=source,
-                    relabelled=factor != 1.0, names=names)  # fmt: skip
+                    unit_factor=factor, names=names)  # fmt: skip
 
 
 def _content(path: Path) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,7 +45,7 @@ class OcctPart(Part):
 
     `schema` is the application protocol of a STEP file ("AP203", "AP214IS", "AP242DIS"), "" otherwise. `source` are a STEP
     file's records and which of them the shapes came from; None where the file's text cannot be written again.
-    `relabelled`: its numbers were taken in another unit than it says.
+    `unit_factor`: how many of the units that it says one is in which its numbers were taken.
     """
 
     def __init__(
@@ -57,7 +58,7 @@ class OcctPart(Part):
         warnings: Sequence[str] = (),
         schema: str = "",
         source: StepEntities | None = None,
-        relabelled: bool = False,
+        unit_factor: float = 1.0,
         names: occt_document.FaceNames | None = None,
     ) -> None:
         self.document = document
@@ -88,13 +89,18 @@ class OcctPart(Part):
         self._as_read: Validity | None = None
         self._areas: dict[int, tuple[float, float]] = {}
         self.source = source
-        self.relabelled = relabelled
+        self.unit_factor = unit_factor
         self.sculpted: set[int] = set()
         """Numbers of the faces that were sculpted."""
         self.before: dict[int, Moments] = {}
         """What the sculpted faces added to the part before."""
         self.moved = Moved()
         """The edges and vertices that followed them."""
+
+    @property
+    def relabelled(self) -> bool:
+        """Whether its numbers were taken in another unit than it says."""
+        return self.unit_factor != 1.0
 
     @property
     def instances(self) -> Sequence[Instance]:
@@ -118,7 +124,7 @@ class OcctPart(Part):
             self._places = {n: tuple(group) for group in by_shape.values() for n in group}
         return tuple(n for n in self._places[number] if n != number)
 
-    @property
+    @cached_property
     def extent(self) -> float:
         box, close = Bnd_Box(), Bnd_Box()
         with quiet():
@@ -134,6 +140,15 @@ class OcctPart(Part):
         from ..step_units import tolerance
 
         return None if self.source is None else tolerance(self.source.records)
+
+    def tolerance_of(self, number: int) -> float | None:
+        from ..step_units import tolerance_at
+
+        if self.source is None:
+            return None
+        record = self.source.of_shape(self.face(number).shape)
+        found = tolerance_at(self.source.records, record) if record else None
+        return None if found is None else found * self.unit_factor
 
     @property
     def recorded_area(self) -> tuple[float, float] | None:

@@ -111,6 +111,10 @@ class RhinoPart(Part):
         self.warnings.append(f"the file has {why}: its numbers are taken as mm")
         return "", 1.0
 
+    @property
+    def tolerance(self) -> float | None:
+        return float(self._model.Settings.ModelAbsoluteTolerance) * self._scale
+
     def _read_bodies(self) -> list[Body]:
         things = list(self._model.Objects)
         records = self._records(things)
