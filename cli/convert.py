@@ -128,6 +128,7 @@ def moved(
     from ..formats.displace import displace
 
     field = displacements.read(file, units or part.units or "mm", reach=reach)
+    part.warnings += [f"{file.name}: {line}" for line in field.warnings]
     chosen = chosen_faces(part, names) if names else None
     return [
         f"{face.name}: moved by up to {face.moved:.4g} mm, refit within {face.error.maximum:.3g} mm (rms {face.error.rms:.2g})"

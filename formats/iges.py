@@ -80,10 +80,10 @@ def load(path: Path, *, units: str | None = None, probing: bool = False) -> Iges
     with quiet():
         try:
             if not probing and (file.broken or file.disordered or not file.complete):
-                ensure_survives(path, "iges")
+                ensure_survives(path, "iges", complete=file.complete)
             reader = _loaded(path, text, file)
             if not probing and wrong_entities(reader.WS().Model()):
-                ensure_survives(path, "iges")
+                ensure_survives(path, "iges", complete=file.complete)
         except InputError as error:
             dead = error.what
         else:
