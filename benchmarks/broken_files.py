@@ -50,8 +50,9 @@ READER = Path(__file__).with_name("broken_reader.py")
 class Reader:
     """A process that reads files, started again whenever it dies or does not answer."""
 
-    def __init__(self, seconds: float = SECONDS) -> None:
+    def __init__(self, seconds: float = SECONDS, *, fork: bool = False) -> None:
         self.seconds = seconds
+        self._command = [sys.executable, str(READER), *(["--fork"] if fork else [])]
         self._process: subprocess.Popen[bytes] | None = None
 
     def read(self, path: Path, deep: bool = False, seconds: float | None = None) -> dict[str, Any]:
@@ -82,7 +83,7 @@ class Reader:
     def _started(self) -> subprocess.Popen[bytes]:
         if self._process is None:
             self._process = subprocess.Popen(
-                [sys.executable, str(READER)],
+                self._command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -188,12 +189,15 @@ def _row(path: Path, damage: str, verdict: str, message: str, found: dict[str, A
     return {**row, "warnings": found["warnings"][:3]} if verdict == "silent" else row
 
 
-def sweep(files: Sequence[Path], damages: Sequence[Damage], jobs: int = 1, deep: bool = False) -> list[dict[str, Any]]:
-    """The rows of many files, `jobs` at a time; progress on stderr."""
+def sweep(
+    files: Sequence[Path], damages: Sequence[Damage], jobs: int = 1, deep: bool = False, *, fork: bool = False
+) -> list[dict[str, Any]]:
+    """The rows of many files, `jobs` at a time; progress on stderr. fork : try damaged files in children that are forked,
+    which are ready at once."""
 
     free: SimpleQueue[Reader] = SimpleQueue()
     for _ in range(jobs):
-        free.put(Reader())
+        free.put(Reader(fork=fork))
 
     def one(path: Path) -> list[dict[str, Any]]:
         reader = free.get()
@@ -233,10 +237,11 @@ def main() -> None:
     parser.add_argument("--flips", type=int, default=0, help="copies with changed bytes, of every file")
     parser.add_argument("--tenths", type=int, nargs="*", default=list(range(1, 10)), help="where files are cut")
     parser.add_argument("--deep", action="store_true", help="areas and sizes of all faces too")
+    parser.add_argument("--fork", action="store_true", help="fork the children that try damaged files (not on Windows)")
     parser.add_argument("--jobs", type=int, default=1, help="files at the same time")
     chosen = parser.parse_args()
     damages = truncations(chosen.tenths) + flips(chosen.flips)
-    rows = sweep(files_in(chosen.paths), damages, chosen.jobs, chosen.deep)
+    rows = sweep(files_in(chosen.paths), damages, chosen.jobs, chosen.deep, fork=chosen.fork)
     count = Counter(row["verdict"] for row in rows)
     found = {
         "files": len({row["file"] for row in rows}),

@@ -93,6 +93,10 @@ def warm_up() -> None:
 
 def main() -> None:
     warm_up()
+    if "--fork" in sys.argv:
+        from broken_fork import fork_from_now_on
+
+        fork_from_now_on()
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     for line in sys.stdin:

@@ -139,6 +139,8 @@ def _pressed(loaded: Loaded, result: RunResult, read: BSplineSurface, back: Face
     u, v = (np.linspace(*bounds, 257) for bounds in here.domain)
     grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=2).reshape(-1, 2)
     off = distance(here, flat, grid, here.evaluate(u[:, None], v).reshape(-1, 3))
+    if here.domain == read.domain:  # the way from a grid may end at a crease
+        off = np.minimum(off, distance(here, flat, at, here.evaluate(patch.u[:, None], patch.v)[counted]))
     tolerance = mm * float(loaded.scene.refit.tolerance or 0.0)
     tool = loaded.scene.tool[0]
     return {
@@ -187,7 +189,13 @@ class Before:
         self.gap, self.tolerance = seam_gap(part, face, self.closed), file_tolerance(part)
 
     def found_again(self, again: Part) -> Face:
-        """The sculpted face among those that come back: it keeps its border."""
+        """The sculpted face among those that come back: of that number, or, should the order be another, with its border.
+
+        A copy of the face as it was, which some files hold, has that border too.
+        """
+        own = [face for face in usable(again.faces) if face.number == self.number]
+        if own and len(again.faces) == self.faces and _far(own[0], self.sculpted) <= 1e-3 * self.sculpted.size:
+            return own[0]
         return min(usable(again.faces), key=lambda face: _far(face, self.sculpted))
 
     def validity(self, again: Part, read: Path, written: Path) -> dict[str, Any]:
