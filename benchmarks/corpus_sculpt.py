@@ -19,6 +19,7 @@ from corpus_index import BALL, Entry
 from corpus_read import SPLINES
 from corpus_roundtrip import usable
 from corpus_seams import distance, file_tolerance, seam_gap
+from numpy.typing import NDArray
 
 from cadsculpt.errors import CadsculptError
 from cadsculpt.formats import registry
@@ -33,6 +34,8 @@ from cadsculpt.units import conversion
 
 MOST_FACES = 4
 """Faces tried, the largest first."""
+
+Array = NDArray[np.float64]
 
 OWN = {"step": ".step", "iges": ".igs", "3dm": ".3dm", "json": ".json", "geomdl": ".json", "g2": ".g2", "gismo": ".xml"}
 
@@ -124,8 +127,8 @@ def _sculpted(entry: Entry, made: NewScene, folder: Path) -> dict[str, Any]:
 def _pressed(loaded: Loaded, result: RunResult, read: BSplineSurface, back: Face) -> dict[str, Any]:
     """Whether the ball touched, how large the dent is, and how far the surface that was read back is from the nodes.
 
-    dent : the largest distance, mm, of a moved node from the face as it was; export_error : of a node that counts from the
-    face as it comes back.
+    dent : the largest distance, mm, of a moved node from the face as it was, or of where it was from the face as it comes
+    back; export_error : of a node from the face as it comes back.
     """
     session = result.session
     patch, mm = session.model.patches[0], conversion(loaded.scene.units, "mm")
@@ -133,14 +136,12 @@ def _pressed(loaded: Loaded, result: RunResult, read: BSplineSurface, back: Face
     rest = np.asarray(read.evaluate(patch.u[:, None], patch.v))
     nodes = rest + mm * np.asarray(session.displacement(0))
     counted = patch.material_nodes & ~patch.hold.inside(patch.u, patch.v)
-    flat, at = nodes[counted], uv[counted]
-    dent = distance(read, flat, at, rest[counted])
+    flat, still, at = nodes[counted], rest[counted], uv[counted]
     here = back.surface
-    u, v = (np.linspace(*bounds, 257) for bounds in here.domain)
-    grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=2).reshape(-1, 2)
-    off = distance(here, flat, grid, here.evaluate(u[:, None], v).reshape(-1, 3))
-    if here.domain == read.domain:  # the way from a grid may end at a crease
-        off = np.minimum(off, distance(here, flat, at, here.evaluate(patch.u[:, None], patch.v)[counted]))
+    off = _distance(here, flat, at, same=here.domain == read.domain)
+    # on a sharp ridge nodes go along one side: what was there before is then far from what is there now
+    gone = _distance(here, still, at, same=here.domain == read.domain)
+    dent = np.maximum(_distance(read, flat, at, same=True), gone)
     tolerance = mm * float(loaded.scene.refit.tolerance or 0.0)
     tool = loaded.scene.tool[0]
     return {
@@ -155,6 +156,17 @@ def _pressed(loaded: Loaded, result: RunResult, read: BSplineSurface, back: Face
         "export_error": float(off.max()),
         "export_within": bool(off.max() <= tolerance + 1e-9 * read.size),
     }
+
+
+def _distance(surface: BSplineSurface, points: Array, at: Array, *, same: bool) -> Array:
+    """Distance (n,) of points (n, 3) from a surface: the nearer of what is found from a grid on and, where the parameters are
+    the same, from `at` (n, 2) on. The way from a grid may end at a crease."""
+    u, v = (np.linspace(*bounds, 257) for bounds in surface.domain)
+    grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=2).reshape(-1, 2)
+    found = distance(surface, points, grid, np.asarray(surface.evaluate(grid[:, 0], grid[:, 1])))
+    if same:
+        found = np.minimum(found, distance(surface, points, at, np.asarray(surface.evaluate(at[:, 0], at[:, 1]))))
+    return found
 
 
 def _refit(loaded: Loaded, result: RunResult) -> dict[str, Any]:

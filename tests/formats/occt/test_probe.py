@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -63,6 +67,41 @@ def test_a_file_that_breaks_off_gets_no_more_time_for_its_size(monkeypatch: pyte
     assert limits == [probe.SECONDS, 1_000_000 / probe.BYTES_PER_SECOND]
     # it is read twice when the child survives, and half a minute is what was promised
     assert 2.0 * probe.SECONDS < 30.0 < limits[1] * 30.0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [
+        (lambda: None, ""),
+        (lambda: os.kill(os.getpid(), 9), "the CAD kernel crashes on it"),
+        (lambda: time.sleep(60), "does not finish reading it in 1 s"),
+    ],
+)
+def test_a_forked_child_of_the_benchmark_ends_as_a_started_one(
+    part: Callable[[str], ModuleType],
+    act: Callable[[], None],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "part.step"
+    path.write_text("x")
+
+    def main(format: str, name: str) -> None:
+        assert (format, name) == ("step", str(path))
+        os.write(1, b"\n")
+        act()
+
+    monkeypatch.setattr(probe, "main", main)
+    monkeypatch.setattr(probe, "SECONDS", 1.0)
+    monkeypatch.setattr(probe, "subprocess", subprocess)  # is put back afterwards
+    part("broken_fork").fork_from_now_on()
+    if said:
+        with pytest.raises(InputError, match=said):
+            probe.ensure_survives(path, "step", complete=False)
+    else:
+        probe.ensure_survives(path, "step", complete=False)
 
 
 def test_modules_beside_a_script_do_not_get_in_the_way(tmp_path: Path) -> None:
