@@ -13,7 +13,9 @@ from types import ModuleType
 import pytest
 
 from cadsculpt.errors import InputError
+from cadsculpt.formats import demo_parts, iges, registry
 from cadsculpt.formats.occt import probe
+from cadsculpt.formats.patch_part import PatchPart
 
 
 def child(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
@@ -116,3 +118,15 @@ def test_modules_beside_a_script_do_not_get_in_the_way(tmp_path: Path) -> None:
         f"ensure_survives(Path({str(tmp_path / 'part.step')!r}), 'step', complete=False)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=300)
+
+
+def test_a_file_is_tried_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Broken in its text and, for that, in the kernel's eyes too: one child is enough."""
+    path = tmp_path / "part.igs"
+    registry.write_part(PatchPart(Path("made"), "json", "mm", [demo_parts.panel()]), path, "iges")
+    tries: list[bool] = []
+    monkeypatch.setattr(iges, "damaged_entities", lambda file: 1)
+    monkeypatch.setattr(iges, "wrong_entities", lambda model: 1)
+    monkeypatch.setattr(iges, "ensure_survives", lambda path, format, *, complete: tries.append(complete))
+    assert "1 entities of the file are damaged" in registry.read(path).warnings
+    assert tries == [True]
