@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
-from corpus_index import TRAPS
+from corpus_index import BALL, TRAPS
 
 SAME = 1e-9
 
@@ -100,25 +101,64 @@ def _roundtrip(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+SHALLOW = 3.0
+"""A dent that is no deeper than this many refit tolerances shows nothing: the untouched face would nearly pass."""
+
+SMALL = 0.5 * BALL
+"""A ball smaller than this, over its face's size, is smaller than was asked for."""
+
+
 def _sculpting(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    every = {name: row for name, row in _stage(rows, "sculpt").items() if "skipped" not in row}
+    stage = _stage(rows, "sculpt")
+    every = {name: row for name, row in stage.items() if "skipped" not in row}
     done = {name: row for name, row in every.items() if row.get("sculpted")}
-    valid = {name: row for name, row in done.items() if row["valid"]}
     gaps = {name: row["seam_gap"] / row["seam_allowed"] for name, row in done.items() if row["seam_allowed"] > 0.0}
+
+    def share(key: str) -> float | None:
+        return sum(bool(row[key]) for row in done.values()) / len(done) if done else None
+
+    def where(key: str, told: str, wrong: bool = False) -> dict[str, Any]:
+        return {name: row[told] for name, row in done.items() if bool(row[key]) == wrong}
+
     return {
         "sculpt_files": len(every),
+        "sculpt_skipped": {name: row["skipped"] for name, row in stage.items() if "skipped" in row},
         "sculpted": len(done),
         "sculpt_refused": {name: row["refused"] for name, row in every.items() if "refused" in row},
-        "sculpted_valid": len(valid) / len(done) if done else None,
-        "sculpted_invalid": {name: row["new_faults"] for name, row in done.items() if not row["valid"]},
+        "sculpt_failed": {name: row["failed"] for name, row in every.items() if "failed" in row},
+        "sculpted_smaller_face": {n: row["larger_refused"] for n, row in done.items() if row["larger_refused"]},
+        "smaller_ball": {n: row["ball_over_size"] for n, row in done.items() if row["ball_over_size"] < SMALL},
+        "not_touched": [name for name, row in done.items() if not row["touched"]],
+        "shallow_dents": {
+            n: row["dent_over_tolerance"] for n, row in done.items() if row["dent_over_tolerance"] < SHALLOW
+        },
+        "sculpted_valid": share("valid"),
+        "sculpted_valid_outright": sum(row["valid"] and row["valid_before"] for row in done.values()),
+        "sculpted_invalid": where("valid", "new_faults"),
+        "checked_by": dict(Counter(row["checked_by"] for row in done.values())),
         "untouched_changed": sum(row["untouched_changed"] for row in done.values()),
+        "untouched_faces": sum(row["untouched"] for row in done.values()),
         "untouched_exceptions": {n: row["changed_faces"] for n, row in done.items() if row["untouched_changed"]},
+        "seam_edges": sum(row["seam_edges"] for row in done.values()),
+        "seam_files": sum(row["seam_edges"] > 0 for row in done.values()),
+        "seam_edges_lost": {
+            name: [row["seam_edges_before"], row["seam_edges"]]
+            for name, row in done.items()
+            if row["seam_edges"] != row["seam_edges_before"]
+        },
         "seam_gap_max": max(gaps.values(), default=None),
         "seam_exceptions": {
             name: row["seam_gap"] for name, row in done.items() if row["seam_gap"] > row["seam_allowed"]
         },
-        "refit_within_tolerance": sum(row["refit_within"] for row in done.values()) / len(done) if done else None,
-        "refit_within_or_refused": sum(row["refit_ok"] for row in done.values()) / len(done) if done else None,
+        "seam_gaped_before": {
+            name: [row["seam_gap_before"], row["seam_gap"], row["seam_tolerance"]]
+            for name, row in done.items()
+            if row["seam_gap_before"] > row["seam_tolerance"]
+        },
+        "written_twice_equal": share("same_bytes"),
+        "written_twice_exceptions": [name for name, row in done.items() if not row["same_bytes"]],
+        "refit_within_tolerance": share("refit_within"),
+        "refit_within_or_refused": share("refit_ok"),
         "refit_refused_by_name": {
             name: row["refit_refused"] for name, row in done.items() if not row["refit_within"] and row["refit_ok"]
         },
@@ -126,5 +166,12 @@ def _sculpting(rows: list[dict[str, Any]]) -> dict[str, Any]:
             name: f"{row['refit_error']:.3g} of {row['refit_tolerance']:.3g}: {row.get('refit_refused') or 'not refused'}"
             for name, row in done.items()
             if not row["refit_ok"]
+        },
+        "refit_strays_between_nodes": [name for name, row in done.items() if row["refit_strays"]],
+        "export_within_tolerance": share("export_within"),
+        "export_exceptions": {
+            name: f"{row['export_error']:.3g} mm beside a refit error of {row['refit_error']:.3g} {row['units']}"
+            for name, row in done.items()
+            if not row["export_within"]
         },
     }

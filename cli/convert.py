@@ -133,6 +133,7 @@ def command(
             if instances:
                 part = part.separated(instances)
             motion = displacements.read(field, field_units or part.units or "mm", reach=reach)
+            part.warnings += [f"{field.name}: {line}" for line in motion.warnings]
             result = displace(
                 part,
                 motion,

@@ -79,11 +79,13 @@ def load(path: Path, *, units: str | None = None, probing: bool = False) -> Iges
     places: dict[int, TopoDS_Face] = {}
     with quiet():
         try:
-            if not probing and (file.broken or file.disordered or not file.complete):
-                ensure_survives(path, "iges")
+            tried = probing
+            if not tried and (file.broken or file.disordered or not file.complete):
+                ensure_survives(path, "iges", complete=file.complete)
+                tried = True
             reader = _loaded(path, text, file)
-            if not probing and wrong_entities(reader.WS().Model()):
-                ensure_survives(path, "iges")
+            if not tried and wrong_entities(reader.WS().Model()):
+                ensure_survives(path, "iges", complete=file.complete)
         except InputError as error:
             dead = error.what
         else:

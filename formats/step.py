@@ -72,7 +72,7 @@ def load(path: Path, *, units: str | None = None, probing: bool = False, data: b
     facts = facts_of(data)
     tried = probing
     if not tried and (facts.damaged or not facts.complete):
-        ensure_survives(path, "step")
+        ensure_survives(path, "step", complete=facts.complete)
         tried = True
     with quiet():
         STEPCAFControl_Controller.Init_s()
@@ -85,7 +85,7 @@ def load(path: Path, *, units: str | None = None, probing: bool = False, data: b
             raise InputError("the CAD kernel cannot read it", where=str(path), mend=_mend(facts))
         wrong = wrong_entities(reader.ChangeReader().Model())
         if wrong and not tried:
-            ensure_survives(path, "step")
+            ensure_survives(path, "step", complete=True)
         unit, warnings = _unit_of(reader)
         document = new_document()
         factor = 1.0

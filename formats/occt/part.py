@@ -20,10 +20,11 @@ from OCP.TopoDS import TopoDS_Compound, TopoDS_Edge, TopoDS_Face, TopoDS_Shape
 from ...errors import InputError
 from ...spline.surface import BSplineSurface, Provenance
 from ...units import unit_name
-from ..part import Faces, Instance, Part, Validity
+from ..part import FaceEdge, Faces, Instance, Part, Validity
 from . import document as occt_document
 from .face import OcctFace
 from .follow import Moved
+from .loose import LooseEdges
 from .moments import Moments, moments_of
 from .quiet import quiet
 from .validity import validity_of
@@ -75,14 +76,20 @@ class OcctPart(Part):
             found = list(occt_document.faces_in(self.shape))
             self._own_names = [names.of(face) for face in found]
             unique = _unique_names(self._own_names)
-        self.faces = Faces(
-            [
-                OcctFace(face, n, name, Provenance(path.name, name, units), self._number.faces_on, self._compare_area)
-                for n, (face, name) in enumerate(zip(found, unique, strict=True), 1)
-            ],
-            str(path),
-            lambda: self.instances,
-        )
+        faces = [
+            OcctFace(
+                face,
+                n,
+                name,
+                Provenance(path.name, name, units),
+                self._number.faces_on,
+                self._compare_area,
+                self._beside,
+            )
+            for n, (face, name) in enumerate(zip(found, unique, strict=True), 1)
+        ]
+        self._loose = LooseEdges([(face.number, face.own_edges) for face in faces], self._number.any_shared)
+        self.faces = Faces(faces, str(path), lambda: self.instances)
         self._number.count(found)
         self._instances: tuple[Instance, ...] | None = None
         self._places: dict[int, tuple[int, ...]] | None = None
@@ -206,6 +213,9 @@ class OcctPart(Part):
 
             write_part(self, path, format)
 
+    def _beside(self, number: int, edges: Sequence[FaceEdge]) -> Sequence[FaceEdge]:
+        return self._loose.beside(number, edges)
+
     def _compare_area(self, number: int, area: float, kernel: float) -> None:
         """Say in one line of the warnings where the kernel's own quadrature gives another area than ours."""
         self._areas[number] = (area, kernel)
@@ -254,14 +264,25 @@ class _Numbers:
 
     def faces_on(self, edge: TopoDS_Edge) -> tuple[int, ...]:
         """Numbers of the faces that an edge bounds, ascending."""
+        known = self._edges()
+        if not known.Contains(edge):
+            return ()
+        return tuple(sorted({self.number(face) for face in known.FindFromKey(edge)} - {0}))
+
+    def any_shared(self) -> bool:
+        """Whether any edge bounds two faces."""
+        known = self._edges()
+        return any(
+            len({self.number(face) for face in known.FindFromIndex(i)} - {0}) > 1 for i in range(1, known.Extent() + 1)
+        )
+
+    def _edges(self) -> IndexedDataMap_TopoDS_Shape_List_TopoDS_Shape_TopTools_ShapeMapHasher:
         if self._on_edge is None:
             self._on_edge = IndexedDataMap_TopoDS_Shape_List_TopoDS_Shape_TopTools_ShapeMapHasher()
             TopExp.MapShapesAndAncestors_s(
                 self._shape, TopAbs_ShapeEnum.TopAbs_EDGE, TopAbs_ShapeEnum.TopAbs_FACE, self._on_edge
             )
-        if not self._on_edge.Contains(edge):
-            return ()
-        return tuple(sorted({self.number(face) for face in self._on_edge.FindFromKey(edge)} - {0}))
+        return self._on_edge
 
 
 def _compound(shapes: Sequence[TopoDS_Shape]) -> TopoDS_Compound:

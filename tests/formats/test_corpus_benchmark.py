@@ -87,3 +87,84 @@ def test_one_file_goes_through_all_of_it(corpus, tmp_path):
         assert totals["sculpted_valid"] == 1.0
         assert totals["untouched_changed"] == 0
     assert done.stderr == ""  # the second time all rows come from the cache
+
+
+# ----------------------------------------------------------- what the totals could hide
+
+
+def test_a_foreign_readers_second_look_sees_what_is_worse(part):
+    check = part("corpus_check")
+    before = check.Foreign(4, 1, (10.0, 20.0, 20.0, 30.0))
+    assert check.faults(before, check.Foreign(4, 1, (30.0, 20.0, 10.0, 20.1)), sculpted_area=20.0) == []
+    assert "3 faces" in check.faults(before, check.Foreign(3, 0, (10.0, 20.0, 30.0)), sculpted_area=20.0)[0]
+    assert "faulty" in check.faults(before, check.Foreign(4, 2, before.areas), sculpted_area=20.0)[0]
+    # another face than the sculpted one has changed
+    (told,) = check.faults(before, check.Foreign(4, 1, (10.0, 20.0, 20.0, 30.1)), sculpted_area=20.0)
+    assert "30 mm2" in told
+    # the kernel's area of the sculpted face is 2 % off; both places of it have changed, and another face
+    (told,) = check.faults(before, check.Foreign(4, 1, (10.1, 20.2, 20.2, 30.0)), sculpted_area=20.4)
+    assert told.startswith("1 other faces")
+    assert "10 mm2" in told
+
+
+def test_the_gap_of_a_seam_that_opens_is_seen(part):
+    """A tube whose two sides are pulled apart, and two strips of which one edge is lifted; neither file names neighbours."""
+    seams = part("corpus_seams")
+    from cadsculpt.formats.patch_part import PatchPart
+
+    turn = np.linspace(0.0, 2.0 * np.pi, 9)
+    net = np.stack(np.broadcast_arrays(np.cos(turn)[:, None], np.sin(turn)[:, None], np.array([0.0, 3.0])), axis=2)
+    tube = BSplineSurface(net, np.array([0.0, *range(9), 8.0]), np.array([0.0, 0, 1, 1]), 1, 1)
+    opened = net.copy()
+    opened[-1, :, 0] += 0.25
+    for surface, gap in ((tube, 0.0), (tube.with_control_points(opened), 0.25)):
+        whole = PatchPart(Path("tube"), "json", "mm", [surface])
+        found = seams.seam_gap(whole, whole.faces.number(1), (True, False))
+        assert found.edges >= 1
+        assert found.largest == pytest.approx(gap, abs=1e-12)
+    x, y = np.meshgrid(np.linspace(0.0, 4.0, 5), [0.0, 1.0, 2.0], indexing="ij")
+    knots = np.array([0.0, 0, 0, 0, 1, 2, 2, 2, 2]), np.array([0.0, 0, 0, 1, 1, 1])
+    left = BSplineSurface(np.stack([x, y, 0 * x], axis=2), *knots, 3, 2)
+    right = BSplineSurface(np.stack([x, y + 2.0, 0 * x], axis=2), *knots, 3, 2)
+    lifted = right.control_points.copy()
+    lifted[2, 0, 2] = 3e-5  # less than what still counts as one edge
+    strips = [PatchPart(Path("strips"), "json", "mm", [left, r]) for r in (right, right.with_control_points(lifted))]
+    gaps = [seams.seam_gap(strip, strip.faces.number(1), (False, False)) for strip in strips]
+    assert [gap.edges for gap in gaps] == [1, 1]
+    assert gaps[0].largest < 1e-12
+    assert 1e-5 < gaps[1].largest < 3e-5
+
+
+def test_totals_say_what_was_not_pressed_or_failed(part):
+    good = {
+        "sculpted": True, "seam_gap": 0.0, "seam_gap_before": 0.0, "seam_allowed": 1.0, "seam_tolerance": 1.0, "valid": True,
+        "valid_before": True, "checked_by": "x", "new_faults": [], "untouched": 3, "untouched_changed": 0, "changed_faces": [],
+        "seam_edges": 2, "seam_edges_before": 2, "same_bytes": True, "refit_within": True, "refit_ok": True,
+        "refit_strays": False, "export_within": True, "touched": True, "dent_over_tolerance": 20.0, "ball_over_size": 0.02,
+        "larger_refused": [], "refit_error": 0.0, "refit_tolerance": 1.0, "export_error": 0.0, "units": "mm",
+    }  # fmt: skip
+    rows = {
+        "good": good,
+        "never met": {**good, "touched": False, "dent_over_tolerance": 0.0},
+        "other bytes": {**good, "same_bytes": False},
+        "off": {**good, "export_within": False, "export_error": 2.0},
+        "open": {**good, "seam_gap": 3.0},
+        "lost edge": {**good, "seam_edges": 1},
+        "worse": {**good, "valid": False, "new_faults": ["face 1: it"]},
+        "stopped": {"failed": "the run: unstable"},
+        "no place": {"refused": "no room"},
+        "nothing": {"skipped": "no spline faces"},
+    }
+    found = part("corpus_totals").totals([{"file": name, "sculpt": row} for name, row in rows.items()])
+    assert (found["sculpt_files"], found["sculpted"]) == (9, 7)
+    assert found["sculpt_failed"] == {"stopped": "the run: unstable"}
+    assert found["sculpt_refused"] == {"no place": "no room"}
+    assert found["sculpt_skipped"] == {"nothing": "no spline faces"}
+    assert found["not_touched"] == list(found["shallow_dents"]) == ["never met"]
+    assert found["written_twice_exceptions"] == ["other bytes"]
+    assert list(found["export_exceptions"]) == ["off"]
+    assert list(found["seam_exceptions"]) == ["open"]
+    assert list(found["seam_edges_lost"]) == ["lost edge"]
+    assert list(found["sculpted_invalid"]) == ["worse"]
+    for share in ("written_twice_equal", "export_within_tolerance", "sculpted_valid"):
+        assert found[share] == pytest.approx(6 / 7)
