@@ -29,6 +29,7 @@ from .occt.document import (
     wrong_entities,
 )
 from .occt.face import OcctFace
+from .occt.healing import set_healing
 from .occt.moments import moments_of
 from .occt.own_trims import bounded
 from .occt.part import OcctPart
@@ -95,6 +96,7 @@ def load(path: Path, *, units: str | None = None, probing: bool = False, data: b
             factor = conversion(unit_name(units), unit)
             unit = unit_name(units)
         set_length_unit(document, METRES_PER_MM / factor)
+        set_healing(reader.ChangeReader(), "step", own=facts.own)
         done = reader.Transfer(document)
         set_length_unit(document, METRES_PER_MM)
         shapes = free_shapes(document)
@@ -109,7 +111,7 @@ def load(path: Path, *, units: str | None = None, probing: bool = False, data: b
         )  # damage elsewhere than in the shape is kept as it is
         source = StepEntities.of(reader.ChangeReader(), data) if sound else None
         if source is not None:
-            keep_file_trims(shapes, source, bounded=facts.own)
+            keep_file_trims(shapes, source, own=facts.own)
     return OcctPart(document, path, "step", unit, warnings=warnings, schema=facts.schema, source=source,
                     relabelled=factor != 1.0, names=names)  # fmt: skip
 

@@ -7,12 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from OCP.collections import IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher
+from OCP.Geom import Geom_BSplineSurface
 from OCP.Geom2d import Geom2d_BSplineCurve, Geom2d_Curve, Geom2d_Line
 from OCP.gp import gp_Dir2d, gp_Pnt2d
 from OCP.TopLoc import TopLoc_Location
 from OCP.TopoDS import TopoDS_Edge, TopoDS_Shape
 
 from .occt.arrays import integers, points_2d, reals
+from .occt.boundary import placement
+from .occt.clamped import Clamped, keep_clamped
 from .occt.document import faces_in
 from .occt.own_trims import Offered, keep_trims
 from .step_entities import StepEntities
@@ -26,38 +29,56 @@ FACES = ("ADVANCED_FACE", "FACE_SURFACE")
 SURFACE_CURVES = ("SURFACE_CURVE", "SEAM_CURVE", "INTERSECTION_CURVE")
 
 
-def keep_file_trims(shapes: Sequence[TopoDS_Shape], source: StepEntities, *, bounded: bool) -> int:
-    """Give the faces of shapes just read the trim curves of their file. Returns how many edges got another curve.
+def keep_file_trims(shapes: Sequence[TopoDS_Shape], source: StepEntities, *, own: bool) -> None:
+    """Give the faces of shapes just read the trim curves of their file, and closed surfaces the knots that it gives.
 
-    bounded : the file's trim curves begin and end where their edges do.
+    own : cadsculpt wrote the file.
     """
     records = source.records
-    if not records.of_type("PCURVE"):
-        return 0
-    exact = tolerance(records) or 0.0
+    exact, given = tolerance(records) or 0.0, bool(records.of_type("PCURVE"))
     seen = IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher()
-    count = 0
+    closed: list[Clamped] = []
     for shape in shapes:
         for face in faces_in(shape):
             bare = face.Located(TopLoc_Location())
             if seen.Contains(bare):
                 continue
             seen.Add(bare)
-            number = source.of_shape(face)
-            if records.type(number) not in FACES:
-                continue
-            surface = int(records.arguments(number)[2].lstrip(b"#"))
-            if closed_flags(records, surface) is None:
-                continue  # no spline: its parameters have units
+            geom = placement(face)[0]
+            surface = _surface(records, source.of_shape(face))
+            if not isinstance(geom, Geom_BSplineSurface) or not surface or closed_flags(records, surface) is None:
+                continue  # no spline in the file: its parameters have units
 
             def offers(edge: TopoDS_Edge, surface: int = surface) -> list[Offered]:
-                return _offers(records, source.of_shape(edge), surface, bounded)
+                return _offers(records, source.of_shape(edge), surface, own)
 
-            count += keep_trims(face, offers, exact)
-    return count
+            if given:
+                keep_trims(face, offers, exact)
+            if geom.IsUPeriodic() or geom.IsVPeriodic():
+                closed.append(Clamped(face, *_full_ends(records, surface)))
+    keep_clamped(closed)
 
 
-def _offers(records: StepRecords, edge: int, surface: int, bounded: bool) -> list[Offered]:
+def _surface(records: StepRecords, face: int) -> int:
+    """The record of a face's surface, its own where it is a surface that stands by itself."""
+    place = {**dict.fromkeys(FACES, 2), "CURVE_BOUNDED_SURFACE": 1}.get(records.type(face))
+    return face if place is None else _reference(records.arguments(face)[place])
+
+
+def _full_ends(records: StepRecords, surface: int) -> tuple[bool, bool]:
+    """Whether the knots of a B-spline surface are full at their ends, in u and in v."""
+    type = "B_SPLINE_SURFACE_WITH_KNOTS"
+    whole = records.arguments(surface, type)
+    if not whole:
+        return False, False
+    if records.type(surface) == type:
+        degrees, counts = whole[1:3], whole[8:10]
+    else:
+        degrees, counts = records.arguments(surface, "B_SPLINE_SURFACE")[:2], whole[:2]
+    return tuple(bool((_numbers(c)[[0, -1]] == int(d) + 1).all()) for c, d in zip(counts, degrees, strict=True))  # type: ignore[return-value]
+
+
+def _offers(records: StepRecords, edge: int, surface: int, own: bool) -> list[Offered]:
     """The trim curves that an EDGE_CURVE has on a surface."""
     if records.type(edge) != "EDGE_CURVE":
         return []
@@ -75,7 +96,7 @@ def _offers(records: StepRecords, edge: int, surface: int, bounded: bool) -> lis
         curve = _curve(records, flat[0]) if flat else None
         if curve is None:
             return []
-        found.append(Offered(curve, inner[3] != b".CURVE_3D.", bounded))
+        found.append(Offered(curve, own))
     return found
 
 

@@ -1,8 +1,9 @@
 """The trim curves that a file gives, put in the place of those that the kernel made of them.
 
 Reading a file, OCCT projects an edge's curve in space anew, or brings the file's 2D curve to another pace, where the two do not
-run together within its own precision. What the file gave is then lost, although the file may say that it governs. It is put
-back where it runs beside the curve in space; the tolerances of the edge and its vertices rise to what that takes.
+run together within its own precision. What the file gave is then lost. It is put back where it runs along the curve in space,
+within the tolerance of the file or of the edge. Files that cadsculpt wrote hold the trim curves of a part that was read: they are
+put back wherever they run near, and the tolerances of the edge and its vertices rise to what that takes.
 
 Writing one, OCCT writes a trim curve whole, however little of it the edge takes: a reader finds the ends by the vertices, which
 lie off the curve by as much as their tolerances say. `bounded` gives edges just their part of the curve.
@@ -35,10 +36,7 @@ from .trim import geom_of_trim, trim_of_geom
 Array = NDArray[np.float64]
 
 NEAR = 1e-3
-"""How far a governing trim curve may lie from its edge's curve in space, relative to the surface's size."""
-
-PACE = 1e-2
-"""How far apart the two may be at equal parameters, relative to the surface's size, where they run along one another."""
+"""How far a trim curve of a file of ours may lie from its edge's curve in space, relative to the surface's size."""
 
 SAME_SIDE = 0.25
 """How far its ends may lie from the kernel's, as shares of the domain: on a closed surface both sides are one place."""
@@ -54,13 +52,12 @@ _SHARES = np.linspace(0.0, 1.0, 23)
 class Offered:
     """A trim curve that a file gives an edge.
 
-    governs : the file says that it is the edge's true course. bounded : it begins and ends where the edge does, wherever the
+    own : cadsculpt wrote it, so that it is the edge's true course, and begins and ends where the edge does, wherever the
     vertices are.
     """
 
     curve: Geom2d_Curve
-    governs: bool
-    bounded: bool = False
+    own: bool
 
 
 Offers = Callable[[TopoDS_Edge], Sequence[Offered]]
@@ -102,25 +99,27 @@ class _Plan:
 
     def put(self) -> Callable[[], None]:
         """Put the curves into the edge. Returns what takes them out again."""
-        old = _curves(self.held)
+        old = curves_of(self.held)
         tolerances = [(self.edge.TShape(), BRep_Tool.Tolerance_s(self.edge))]
         tolerances += [(vertex.TShape(), BRep_Tool.Tolerance_s(vertex)) for vertex, _ in vertices_of_edge(self.edge)]
-        _set_curves(self.held, self.curves)
+        set_curves(self.held, self.curves)
         settle_edge(self.edge)
 
         def take_back() -> None:
-            _set_curves(self.held, old)
+            set_curves(self.held, old)
             for shape, value in tolerances:
                 shape.Tolerance(value)
 
         return take_back
 
 
-def _curves(held: BRep_CurveOnSurface) -> tuple[Geom2d_Curve, ...]:
+def curves_of(held: BRep_CurveOnSurface) -> tuple[Geom2d_Curve, ...]:
+    """The trim curve of an edge on a surface, or the two of a seam."""
     return (held.PCurve(), held.PCurve2()) if isinstance(held, BRep_CurveOnClosedSurface) else (held.PCurve(),)
 
 
-def _set_curves(held: BRep_CurveOnSurface, curves: tuple[Geom2d_Curve, ...]) -> None:
+def set_curves(held: BRep_CurveOnSurface, curves: tuple[Geom2d_Curve, ...]) -> None:
+    """Give an edge other trim curves on the surface."""
     held.PCurve(curves[0])
     if isinstance(held, BRep_CurveOnClosedSurface):
         held.PCurve2(curves[1])
@@ -137,8 +136,10 @@ def _plan(
     if len(mine) != 1:
         return None
     held = mine[0]
-    old = _curves(held)
+    old = curves_of(held)
     if len(offered) != len(old):
+        return None
+    if all(any(equal(item.curve, now) for item in offered) for now in old):
         return None
     first, last = held.First(), held.Last()
     curve, place = curve_of_edge(bare)
@@ -148,9 +149,8 @@ def _plan(
     span = domain[:, 1] - domain[:, 0]
     period = np.where([geom.IsUPeriodic(), geom.IsVPeriodic()], span, 0.0)
     near = pace = max(tolerance, BRep_Tool.Tolerance_s(bare))
-    if all(item.governs for item in offered):
-        near = max(near, NEAR * _size(geom))
-        pace = np.inf if all(item.bounded for item in offered) else max(near, PACE * _size(geom))
+    if all(item.own for item in offered):
+        near, pace = max(near, NEAR * _size(geom)), np.inf
     t = first + _SHARES * (last - first)
     for order in permutations(offered):
         made = []
@@ -174,7 +174,7 @@ def _plan(
                 break
             made.append(best)
         else:
-            if all(_equal(a, b) for a, b in zip(made, old, strict=True)):
+            if all(_same(a, b, t, span) for a, b in zip(made, old, strict=True)):
                 return None
             return _Plan(bare, held, tuple(made))
     return None
@@ -203,7 +203,7 @@ def _set_range(edge: TopoDS_Edge, geom: Geom_BSplineSurface, offered: Sequence[O
     slack = 1e-12 * (high - low)
     if low < curve.FirstParameter() - slack or high > curve.LastParameter() + slack:
         return
-    exact = max(tolerance, NEAR * _size(geom) if all(item.bounded for item in offered) else 0.0)
+    exact = max(tolerance, NEAR * _size(geom) if all(item.own for item in offered) else 0.0)
     for vertex, parameter in vertices_of_edge(bare):
         end = low if parameter == now[0] else high
         p = BRep_Tool.Pnt_s(vertex)
@@ -229,15 +229,15 @@ def bounded(faces: Iterable[TopoDS_Face]) -> Callable[[], None]:
                     continue
                 if not isinstance(basis_of_geom(held.Surface()), Geom_BSplineSurface):
                     continue
-                old, first, last = _curves(held), held.First(), held.Last()
+                old, first, last = curves_of(held), held.First(), held.Last()
                 if not any(_is_longer(curve, first, last) for curve in old) and not _astray(bare):
                     continue
                 undo.append((held, old))
-                _set_curves(held, tuple(geom_of_trim(trim_of_geom(curve, first, last)) for curve in old))
+                set_curves(held, tuple(geom_of_trim(trim_of_geom(curve, first, last)) for curve in old))
 
     def take_back() -> None:
         for held, old in undo:
-            _set_curves(held, old)
+            set_curves(held, old)
 
     return take_back
 
@@ -273,9 +273,11 @@ def _at_pace(curve: Geom2d_Curve, first: float, last: float) -> Iterator[Geom2d_
     slack = 1e-9 * (last - first)
     if not isinstance(curve, Geom2d_BSplineCurve) or (low <= first + slack and high >= last - slack):
         yield curve
-    if not isinstance(curve, Geom2d_BSplineCurve) or (low, high) == (first, last):
+    if not isinstance(curve, Geom2d_BSplineCurve):
         return
     for backward in (False, True):
+        if (low, high) == (first, last) and not backward:
+            continue
         made = curve.Copy()
         if backward:
             made.Reverse()
@@ -299,7 +301,14 @@ def _turned(curve: Geom2d_Curve, t: Array, ends: Array, period: Array) -> Geom2d
     return curve.Translated(gp_Vec2d(float(shift[0]), float(shift[1])))
 
 
-def _equal(a: Geom2d_Curve, b: Geom2d_Curve) -> bool:
+def _same(a: Geom2d_Curve, b: Geom2d_Curve, t: Array, span: Array) -> bool:
+    """The same curve: number for number, or a straight line to rounding."""
+    if not (isinstance(a, Geom2d_BSplineCurve) and a.NbPoles() == 2 and isinstance(b, Geom2d_Line)):
+        return equal(a, b)
+    return bool((np.abs(sample_trim(a, t) - sample_trim(b, t)) <= ROUNDING * span).all())
+
+
+def equal(a: Geom2d_Curve, b: Geom2d_Curve) -> bool:
     """The same curve, number for number."""
     if isinstance(a, Geom2d_Line) and isinstance(b, Geom2d_Line):
         return bool((sample_trim(a, np.array([0.0, 1.0])) == sample_trim(b, np.array([0.0, 1.0]))).all())
