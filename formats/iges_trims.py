@@ -18,10 +18,10 @@ from ..spline.surface import TrimCurve
 from .iges_curves import curves_of, whole_of
 from .iges_patches import spline_of
 from .iges_records import Entity, IgesFile
-from .occt.boundary import placement
 from .occt.clamped import Clamped, keep_clamped
 from .occt.curve import sample_trim
-from .occt.own_trims import Offered, keep_trims
+from .occt.own_trims import Offered, keep_trims, spline_of_face
+from .occt.shape import basis_of_geom
 from .occt.tolerance import curves_on_faces
 from .occt.trim import evaluate_trim, geom_of_trim, trim_domain
 from .step_text import SYSTEM
@@ -34,8 +34,9 @@ _SURFACE_OF = {144: 1, 143: 2, 510: 1}
 _PLACES = np.linspace(0.0, 1.0, 7)
 """Where, along a trim curve, it is compared with those of the file to find its own."""
 
-ALIKE = 1e-2
-"""How far the kernel's curve may lie from the file's, as a share of the domain, and still be made of it."""
+ALIKE = {False: 1e-2, True: 0.1}
+"""How far the kernel's curve may lie from the file's at equal shares, as a share of the domain, and still be made of it; more
+in files of ours, whose curves may run at another pace."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,9 +59,9 @@ def keep_file_trims(file: IgesFile, faces: Mapping[int, TopoDS_Face]) -> None:
     closed: list[Clamped] = []
     for pointer, face in faces.items():
         bare = face.Located(TopLoc_Location())
-        geom = placement(face)[0]
+        geom = spline_of_face(face)
         entity = file.at(pointer)
-        if seen.Contains(bare) or entity is None or not isinstance(geom, Geom_BSplineSurface):
+        if seen.Contains(bare) or entity is None or geom is None:
             continue
         seen.Add(bare)
         place = _SURFACE_OF.get(entity.type, 0)
@@ -81,8 +82,14 @@ def keep_file_trims(file: IgesFile, faces: Mapping[int, TopoDS_Face]) -> None:
 
             keep_trims(face, offers, 0.0)
         if geom.IsUPeriodic() or geom.IsVPeriodic():
-            ends = (_full(surface.knots_u, surface.degree_u), _full(surface.knots_v, surface.degree_v))
-            closed.append(Clamped(face, *ends))
+            told = [text == "1" for text in under.parameters[8:10]]  # the file itself has them periodic
+            closed.append(
+                Clamped(
+                    face,
+                    _full(surface.knots_u, surface.degree_u) and not told[0],
+                    _full(surface.knots_v, surface.degree_v) and not told[1],
+                )
+            )
     keep_clamped(closed)
 
 
@@ -96,7 +103,9 @@ def _flats(file: IgesFile, entity: Entity) -> list[_Flat]:
     found: list[_Flat] = []
     for pointer in _flat_pointers(file, entity):
         for curve in curves_of(file, pointer):
-            trim = TrimCurve(np.ascontiguousarray(curve.control_points[:, :2]), curve.knots, curve.degree, curve.weights)
+            trim = TrimCurve(
+                np.ascontiguousarray(curve.control_points[:, :2]), curve.knots, curve.degree, curve.weights
+            )
             low, high = trim_domain(trim)
             found.append(_Flat(geom_of_trim(trim), evaluate_trim(trim, low + _PLACES * (high - low))))
     return found
@@ -138,18 +147,17 @@ def _offers(edge: TopoDS_Edge, geom: Geom_BSplineSurface, flats: Sequence[_Flat]
     """The file's trim curves that the kernel's on this edge were made of: those that run nearest to them."""
     bounds = np.array(geom.Bounds()).reshape(2, 2)
     span = bounds[:, 1] - bounds[:, 0]
-    period = np.where([geom.IsUPeriodic(), geom.IsVPeriodic()], span, np.inf)
+    period = np.where([geom.IsUPeriodic(), geom.IsVPeriodic()], span, 0.0)
     found = []
     for held in curves_on_faces(edge):
-        if held.surface is not geom:
+        if basis_of_geom(held.surface) is not geom:
             continue
         here = sample_trim(held.curve, held.first + _PLACES * (held.last - held.first))
-        best, least = None, ALIKE
+        best, least = None, ALIKE[own]
         for flat in flats:
             for places in (flat.places, flat.places[::-1]):
                 away = here - places
-                turns = np.where(np.isfinite(period), np.round(away.mean(axis=0) / period), 0.0)
-                apart = float(np.abs((away - np.where(turns, turns * period, 0.0)) / span).max())
+                apart = float(np.abs((away - np.round(away.mean(axis=0) / span) * period) / span).max())
                 if apart < least:
                     best, least = flat, apart
         if best is None:

@@ -40,8 +40,8 @@ from .step_properties import update
 from .step_records import StepRecords
 from .step_splice import CannotSpliceError, splice
 from .step_structure import name_single_faces
-from .step_trims import keep_file_trims
 from .step_text import REAL_FORMAT, SYSTEM, TIME_STAMP, StepFacts, facts_of, settled
+from .step_trims import keep_file_trims
 
 _KERNEL_UNITS = {
     "um": "UM", "mm": "MM", "cm": "CM", "m": "M", "km": "KM", "in": "INCH", "ft": "FT", "mi": "MILE", "mil": "MIL",

@@ -62,7 +62,9 @@ def facts_of(data: bytes) -> StepFacts:
     elif b"CONFIG_CONTROL_DESIGN" in head:
         schema = "AP203"
     faces = len(re.findall(rb"=\s*(?:ADVANCED_FACE|FACE_SURFACE)\s*\(", data))
-    return StepFacts(schema, faces, b"END-ISO-10303-21" in data[-4000:], _damaged(data), _OWN.search(data[:20000]) is not None)
+    return StepFacts(
+        schema, faces, b"END-ISO-10303-21" in data[-4000:], _damaged(data), _OWN.search(data[:20000]) is not None
+    )
 
 
 def _damaged(data: bytes) -> int:

@@ -7,17 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from OCP.collections import IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher
-from OCP.Geom import Geom_BSplineSurface
 from OCP.Geom2d import Geom2d_BSplineCurve, Geom2d_Curve, Geom2d_Line
 from OCP.gp import gp_Dir2d, gp_Pnt2d
 from OCP.TopLoc import TopLoc_Location
 from OCP.TopoDS import TopoDS_Edge, TopoDS_Shape
 
 from .occt.arrays import integers, points_2d, reals
-from .occt.boundary import placement
 from .occt.clamped import Clamped, keep_clamped
 from .occt.document import faces_in
-from .occt.own_trims import Offered, keep_trims
+from .occt.own_trims import Offered, keep_trims, spline_of_face
 from .step_entities import StepEntities
 from .step_geometry import closed_flags
 from .step_records import StepRecords, references
@@ -44,9 +42,9 @@ def keep_file_trims(shapes: Sequence[TopoDS_Shape], source: StepEntities, *, own
             if seen.Contains(bare):
                 continue
             seen.Add(bare)
-            geom = placement(face)[0]
+            geom = spline_of_face(face)
             surface = _surface(records, source.of_shape(face))
-            if not isinstance(geom, Geom_BSplineSurface) or not surface or closed_flags(records, surface) is None:
+            if geom is None or not surface or closed_flags(records, surface) is None:
                 continue  # no spline in the file: its parameters have units
 
             def offers(edge: TopoDS_Edge, surface: int = surface) -> list[Offered]:

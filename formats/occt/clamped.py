@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from OCP.BRep import BRep_CurveOnSurface
 from OCP.BRepCheck import BRepCheck_Analyzer
-from OCP.Geom import Geom_BSplineSurface
+from OCP.Geom import Geom_BSplineSurface, Geom_Surface
 from OCP.Geom2d import Geom2d_Curve
 from OCP.gp import gp_Vec2d
 from OCP.TopAbs import TopAbs_ShapeEnum
@@ -23,6 +23,7 @@ from OCP.TopoDS import TopoDS, TopoDS_Edge, TopoDS_Face, TopoDS_Iterator, TopoDS
 from .boundary import placement
 from .curve import sample_trim, smooth_breaks
 from .own_trims import curves_of, set_curves
+from .shape import basis_of_geom
 from .tolerance import FORWARD
 
 Array = NDArray[np.float64]
@@ -45,32 +46,35 @@ def keep_clamped(faces: Sequence[Clamped]) -> int:
 
     Faces that share a surface are unrolled together. One that runs over its seam keeps all of them periodic.
     """
-    groups: list[tuple[Geom_BSplineSurface, list[Clamped]]] = []
+    groups: list[tuple[Geom_Surface, list[Clamped]]] = []
     for item in faces:
-        geom = placement(item.face)[0]
-        if not isinstance(geom, Geom_BSplineSurface) or not (
-            (geom.IsUPeriodic() and item.u) or (geom.IsVPeriodic() and item.v)
-        ):
+        surface = placement(item.face)[0]
+        if not isinstance(surface, Geom_Surface):
             continue
-        known = next((group for other, group in groups if other is geom), None)
+        known = next((group for other, group in groups if other is surface), None)
         if known is None:
-            groups.append((geom, [item]))
+            groups.append((surface, [item]))
         else:
             known.append(item)
-    return sum(_unroll(geom, group) for geom, group in groups)
+    return sum(_unroll(surface, group) for surface, group in groups)
 
 
-def _unroll(geom: Geom_BSplineSurface, group: Sequence[Clamped]) -> bool:
+def _unroll(surface: Geom_Surface, group: Sequence[Clamped]) -> bool:
+    geom = basis_of_geom(surface)  # the basis of a surface cut along its parameters is changed in place
+    if not isinstance(geom, Geom_BSplineSurface):
+        return False
     axes = (
         geom.IsUPeriodic() and all(item.u for item in group),
         geom.IsVPeriodic() and all(item.v for item in group),
     )
+    if not any(axes):
+        return False
     shifts: list[tuple[BRep_CurveOnSurface, tuple[float, float]]] = []
     for item in group:
         for wire in _parts(item.face):
             if wire.ShapeType() != TopAbs_ShapeEnum.TopAbs_WIRE:
                 continue
-            held = _held(wire, geom)
+            held = _held(wire, surface)
             shift = _shift(held, geom, axes)
             if shift is None:
                 return False
@@ -107,13 +111,13 @@ def _parts(shape: TopoDS_Shape) -> list[TopoDS_Shape]:
     return found
 
 
-def _held(wire: TopoDS_Shape, geom: Geom_BSplineSurface) -> list[BRep_CurveOnSurface]:
+def _held(wire: TopoDS_Shape, surface: Geom_Surface) -> list[BRep_CurveOnSurface]:
     """What the edges of a loop hold of the surface, each once."""
     found: list[BRep_CurveOnSurface] = []
     for part in _parts(wire):
         edge: TopoDS_Edge = TopoDS.Edge(part.Located(TopLoc_Location()).Oriented(FORWARD))
         for item in edge.TShape().Curves():
-            if isinstance(item, BRep_CurveOnSurface) and item.Surface() is geom:
+            if isinstance(item, BRep_CurveOnSurface) and item.Surface() is surface:
                 if not any(item is other for other in found):
                     found.append(item)
     return found

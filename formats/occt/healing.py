@@ -13,8 +13,10 @@ _CUTS = (
     "FixIntersectingEdgesMode",
     "FixNonAdjacentIntersectingEdgesMode",
     "FixTailMode",
+    "FixLackingMode",
 )
-"""Where trim curves cross, or nearly do, the kernel cuts them off and moves their vertex."""
+"""Where trim curves cross, or nearly do, the kernel cuts them off and moves their vertex; where they do not quite meet, it puts
+short ones between them."""
 
 _DEFAULTS = {
     "step": {"FixTailMode": "0"},

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from OCP.BRep import BRep_Builder, BRep_CurveOnClosedSurface, BRep_CurveOnSurface, BRep_Tool
 from OCP.BRepCheck import BRepCheck_Analyzer
 from OCP.collections import IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher
-from OCP.Geom import Geom_BSplineSurface, Geom_Curve
+from OCP.Geom import Geom_BSplineSurface, Geom_Curve, Geom_Surface
 from OCP.Geom2d import Geom2d_BSplineCurve, Geom2d_Curve, Geom2d_Line, Geom2d_TrimmedCurve
 from OCP.gp import gp_Vec2d
 from OCP.TopLoc import TopLoc_Location
@@ -30,7 +30,7 @@ from .arrays import from_integers, from_points_2d, from_reals, reals
 from .boundary import placement
 from .curve import sample_curve, sample_surface, sample_trim
 from .shape import basis_of_geom
-from .tolerance import FORWARD, curve_of_edge, edges_of, placed, settle_edge, vertices_of_edge
+from .tolerance import FORWARD, curve_of_edge, curves_on_faces, edges_of, placed, settle_edge, vertices_of_edge
 from .trim import geom_of_trim, trim_of_geom
 
 Array = NDArray[np.float64]
@@ -63,14 +63,21 @@ class Offered:
 Offers = Callable[[TopoDS_Edge], Sequence[Offered]]
 
 
+def spline_of_face(face: TopoDS_Face) -> Geom_BSplineSurface | None:
+    """The B-spline surface of a face, cut along its parameters or not; None for other kinds."""
+    surface = placement(face)[0]
+    geom = basis_of_geom(surface) if isinstance(surface, Geom_Surface) else None
+    return geom if isinstance(geom, Geom_BSplineSurface) else None
+
+
 def keep_trims(face: TopoDS_Face, offers: Offers, tolerance: float) -> int:
     """Give the edges of a face on a B-spline surface the trim curves that the file offers, where they are sound.
 
     tolerance : the distance that the file calls exact, mm. Returns how many edges got another curve. Nothing is changed
     where the checker would refuse a face that it took before.
     """
-    geom = basis_of_geom(placement(face)[0]) if placement(face)[0] is not None else None
-    if not isinstance(geom, Geom_BSplineSurface):
+    geom = spline_of_face(face)
+    if geom is None:
         return 0
     plans = []
     for edge in edges_of(face):
@@ -163,7 +170,9 @@ def _plan(
                 if (np.abs(uv[[0, -1]] - ends) > SAME_SIDE * span).any():
                     continue
                 points = placed(sample_surface(geom, uv), held.Location())
-                expected = placed(sample_surface(geom, sample_trim(now, t)), held.Location()) if truth is None else truth
+                expected = (
+                    placed(sample_surface(geom, sample_trim(now, t)), held.Location()) if truth is None else truth
+                )
                 gaps = np.linalg.norm(points - expected, axis=1)
                 if gaps.max() > least or gaps[[0, -1]].max() > near:
                     continue
@@ -200,9 +209,12 @@ def _set_range(edge: TopoDS_Edge, geom: Geom_BSplineSurface, offered: Sequence[O
     if curve is None or len(ranges) != 1 or ranges == {now} or len(splines) < len(offered):
         return
     ((low, high),) = ranges
-    slack = 1e-12 * (high - low)
-    if low < curve.FirstParameter() - slack or high > curve.LastParameter() + slack:
+    bounds = [(curve.FirstParameter(), curve.LastParameter())]
+    bounds += [(item.curve.FirstParameter(), item.curve.LastParameter()) for item in curves_on_faces(bare)]
+    slack = 1e-9 * (high - low)
+    if any(low < first - slack or high > last + slack for first, last in bounds):
         return
+    low, high = max(low, *(first for first, _ in bounds)), min(high, *(last for _, last in bounds))
     exact = max(tolerance, NEAR * _size(geom) if all(item.own for item in offered) else 0.0)
     for vertex, parameter in vertices_of_edge(bare):
         end = low if parameter == now[0] else high
