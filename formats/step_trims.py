@@ -87,10 +87,10 @@ def _offers(records: StepRecords, edge: int, surface: int, own: bool) -> list[Of
     inner = records.arguments(number)
     found = []
     for pcurve in references(inner[2]):
-        basis, *rest = [*records.references(pcurve), 0, 0]
-        if records.type(pcurve) != "PCURVE" or basis != surface:
+        parts = records.references(pcurve)
+        if records.type(pcurve) != "PCURVE" or len(parts) < 2 or parts[0] != surface:
             continue
-        flat = [n for n in records.references(rest[0]) if records.type(n) != "" and not _is_context(records, n)]
+        flat = [n for n in records.references(parts[1]) if records.type(n) != "" and not _is_context(records, n)]
         curve = _curve(records, flat[0]) if flat else None
         if curve is None:
             return []

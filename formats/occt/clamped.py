@@ -117,9 +117,9 @@ def _held(wire: TopoDS_Shape, surface: Geom_Surface) -> list[BRep_CurveOnSurface
     for part in _parts(wire):
         edge: TopoDS_Edge = TopoDS.Edge(part.Located(TopLoc_Location()).Oriented(FORWARD))
         for item in edge.TShape().Curves():
-            if isinstance(item, BRep_CurveOnSurface) and item.Surface() is surface:
-                if not any(item is other for other in found):
-                    found.append(item)
+            mine = isinstance(item, BRep_CurveOnSurface) and item.Surface() is surface
+            if mine and not any(item is other for other in found):
+                found.append(item)
     return found
 
 

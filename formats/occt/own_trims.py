@@ -2,8 +2,8 @@
 
 Reading a file, OCCT projects an edge's curve in space anew, or brings the file's 2D curve to another pace, where the two do not
 run together within its own precision. What the file gave is then lost. It is put back where it runs along the curve in space,
-within the tolerance of the file or of the edge. Files that cadsculpt wrote hold the trim curves of a part that was read: they are
-put back wherever they run near, and the tolerances of the edge and its vertices rise to what that takes.
+within the tolerance of the file or of the edge. Files that cadsculpt wrote hold the trim curves of a part that was read: they
+are put back wherever they run near, and the tolerances of the edge and its vertices rise to what that takes.
 
 Writing one, OCCT writes a trim curve whole, however little of it the edge takes: a reader finds the ends by the vertices, which
 lie off the curve by as much as their tolerances say. `bounded` gives edges just their part of the curve.
