@@ -23,6 +23,7 @@ from .iges_kernel import for_kernel, unit_of
 from .iges_part import IgesPart, Source
 from .iges_patches import patch_of
 from .iges_records import Entity, IgesFile, parse, text_of
+from .iges_trims import is_own, keep_file_trims
 from .occt.document import (
     METRES_PER_MM,
     FaceNames,
@@ -36,6 +37,7 @@ from .occt.document import (
     set_length_unit,
     wrong_entities,
 )
+from .occt.healing import set_healing
 from .occt.probe import ensure_survives
 from .occt.quiet import quiet
 from .occt.shape import shape_of_surface
@@ -90,9 +92,11 @@ def load(path: Path, *, units: str | None = None, probing: bool = False) -> Iges
             dead = error.what
         else:
             set_length_unit(document, METRES_PER_MM / factor)
+            set_healing(reader, "iges", own=is_own(file))
             reader.Transfer(document)
             set_length_unit(document, METRES_PER_MM)
             unknown = _look_up(reader, document, owners_of(file), names, places)
+            keep_file_trims(file, places)
         # a face of unknown origin may be any of those that are missing
         own = [] if unknown else _read_here(file, places, name, document, names)
         count = count_faces(free_shapes(document))

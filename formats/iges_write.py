@@ -17,10 +17,12 @@ from OCP.TopoDS import TopoDS_Shape
 from .._version import __version__
 from ..errors import InputError
 from .atomic import write_whole
+from .iges_entities import spline_counts
 from .iges_records import IgesFile, order_properties, parse, text_of
+from .occt.own_trims import bounded
 from .occt.part import OcctPart
 from .occt.quiet import quiet
-from .step_text import REAL_FORMAT, step_real
+from .step_text import REAL_FORMAT, SYSTEM, step_real
 
 _KERNEL_UNITS = {
     "um": "UM", "mm": "MM", "cm": "CM", "m": "M", "km": "KM", "in": "INCH", "ft": "FT", "mi": "MI", "mil": "MIL",
@@ -52,7 +54,10 @@ def text_of_part(part: OcctPart, name: str) -> str:
     writer = IGESCAFControl_Writer()
     for mode in ("Name", "Color", "Layer"):
         getattr(writer, f"Set{mode}Mode")(True)
-    if not writer.Transfer(part.document):
+    take_back = bounded(face.shape for face in map(part.face, range(1, len(part.faces) + 1)))
+    done = writer.Transfer(part.document)
+    take_back()
+    if not done:
         raise InputError("the CAD kernel cannot write the part as IGES", where=str(part.path))
     writer.ComputeModel()
     sender = IGESData_IGESWriter(writer.Model())
@@ -70,8 +75,10 @@ def _settled(file: IgesFile, name: str) -> IgesFile:
     """The kernel's file with shortest exact numbers and a header that tells no time and no person."""
     for entity in file.entities:
         entity.parameters = [step_real(float(p)) if _REAL.fullmatch(p) else p for p in entity.parameters]
+        if entity.type == 128:
+            _fill_ends(entity.parameters)
     order_properties(file)  # the kernel has them in the order of memory addresses
-    system = f"cadsculpt {__version__}"
+    system = f"{SYSTEM} {__version__}"
     header = {2: "cadsculpt part", 3: name, 4: system, 5: "Open CASCADE 8", 11: "", 20: "", 21: ""}
     for place, text in header.items():
         if place < len(file.header):
@@ -81,6 +88,19 @@ def _settled(file: IgesFile, name: str) -> IgesFile:
             file.header[place] = DATE
     file.header = [step_real(float(p)) if _REAL.fullmatch(p) else p for p in file.header]
     return file
+
+
+def _fill_ends(parameters: list[str]) -> None:
+    """Give a closed surface full knots at its ends where the kernel writes other outermost ones, which shape nothing."""
+    counts = spline_counts(parameters)
+    if counts is None:
+        return
+    begin = 10
+    for upper, degree in zip(*counts, strict=True):
+        end = begin + upper + degree + 1
+        if parameters[begin + 1] == parameters[begin + degree] and parameters[end - 1] == parameters[end - degree]:
+            parameters[begin], parameters[end] = parameters[begin + 1], parameters[end - 1]
+        begin = end + 1
 
 
 def _has_solid(shape: TopoDS_Shape) -> bool:
