@@ -104,7 +104,7 @@ def _motion(session: Session, index: int) -> FaceMotion:
         every = Given(np.ones(patch.surface.shape, dtype=np.bool_), moved)
         return judged(fit_net(patch.surface, field, np.inf, lambda net: every), working, field, goal)
 
-    return FaceMotion(patch.source, field, patch.hold, goal, working, last)
+    return FaceMotion(patch.source, field, patch.hold, goal, working, last=last)
 
 
 def _face(session: Session, index: int, fit: ToleranceFit, *, agreed: bool) -> ExportedFace:

@@ -30,6 +30,10 @@ SMOOTH = 0.5
 TURN = 0.05
 """Degrees that a face may turn against the one that it follows, where they stay tangent."""
 
+NEAR_POLE = 0.02
+"""Where a face is narrower than this part of its widest along an edge, near a pole, its tangents may be off as if it were
+not."""
+
 NEARER = 0.8
 """How near a face must come to the one that it follows, in gaps that are allowed: the gap is seen between those places too."""
 
@@ -191,7 +195,8 @@ def lead_along(
         basis = np.stack([tangents[1, 0], tangents[0, 1]], axis=2)
         along = np.stack([np.linalg.lstsq(m, x, rcond=1e-9)[0] for m, x in zip(basis, wanted, strict=True)])
         across = displacement_along(leader, displacement, seam.uv_a, along)
-        slack = np.radians(TURN) * np.maximum(np.linalg.norm(wanted, axis=1), 1e-9 * follower.size)
+        length = np.linalg.norm(wanted, axis=1)
+        slack = np.radians(TURN) * np.maximum(length, max(NEAR_POLE * float(length.max()), 1e-9 * follower.size))
     return Lead(seam.uv_b, moved, min(NEARER * seam.allowed, tolerance), across, direction, slack, knots)
 
 

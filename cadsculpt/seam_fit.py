@@ -17,7 +17,7 @@ from .export_seams import Corner, agreed, corners_of, in_turn, lead_along
 from .patch import SourceFace
 from .spline.adapt import Goal, ToleranceFit, fit_to_tolerance, judged
 from .spline.between import denser
-from .spline.follow import Following, Lead, corner_point, edge_knots, follows, follows_with_its_knots, side_of
+from .spline.follow import Following, Lead, corner_point, edge_knots, follows_with_its_knots, off_lead, side_of
 from .spline.hold import Hold
 from .spline.net_fit import NodeField, still_sides
 from .spline.seam import RELATIVE, Seam, Source, angle, gap
@@ -32,6 +32,12 @@ MUCH = 1.1
 
 FINER = 5
 """Where a face cannot follow another along their edge as nearly as it must, its nodes are made twice as many, so often."""
+
+HELPS = 0.7
+"""Where more nodes do not bring a face nearer to those that it follows than this part of how far it was, more do not help."""
+
+STILL_ROWS = 3
+"""Rows of nodes along a side that must all be still, for its tangents to be held."""
 
 MEETS = 1e-6
 """A corner this near to an edge, as a part of the domain, lies on it."""
@@ -51,7 +57,8 @@ class FaceMotion:
     """A face and how its nodes move.
 
     source : the face as read. field : the displacement of its nodes. hold : what of it stays where it is. goal : of its
-    refit. working : knots (u, v) of a net that follows every node. last : the fit to take where the nodes determine none;
+    refit. working : knots (u, v) of a net that follows every node. flat : sides along which its tangents stay as well, where no
+    other face asks otherwise. last : the fit to take where the nodes determine none;
     without it that is an error.
     """
 
@@ -60,6 +67,7 @@ class FaceMotion:
     hold: Hold
     goal: Goal
     working: Knots
+    flat: tuple[Array, ...] = ()
     last: Callable[[], ToleranceFit] | None = None
 
 
@@ -142,6 +150,7 @@ def fit_together(motions: Sequence[FaceMotion], seams: Sequence[Seam], *, smooth
     corners = corners_of(faces)
     still = min((motion.goal.threshold for motion in motions), default=0.0)
     fields = agreed(faces, [motion.field for motion in motions], seams, still)
+    motions = [_with_still_sides(motion, field, smooth=smooth) for motion, field in zip(motions, fields, strict=True)]
     fits: dict[int, ToleranceFit] = {}
     for i in in_turn(faces, seams):
         fits[i] = _fitted(
@@ -157,6 +166,15 @@ def fit_together(motions: Sequence[FaceMotion], seams: Sequence[Seam], *, smooth
         tuple(fits[i].outcome == "within" for i in range(len(motions))),
         tuple(ExportedSeam.of(seam, faces, surfaces) for seam in seams),
     )
+
+
+def _with_still_sides(motion: FaceMotion, field: NodeField, *, smooth: bool) -> FaceMotion:
+    """The motion with the sides held on which no node moved; smooth : with their tangents, where none beside them moved.
+    Two faces that follow one another tangentially would lean apart where their edge ends on such sides."""
+    surface, threshold, hold = motion.source.surface, motion.goal.threshold, motion.hold
+    still = still_sides(surface, field, threshold)
+    flat = still_sides(surface, field, threshold, STILL_ROWS) if smooth else []
+    return replace(motion, hold=replace(hold, curves=(*hold.curves, *still)), flat=tuple(flat))
 
 
 def _leads(
@@ -194,10 +212,13 @@ def _met(surface: BSplineSurface, leads: Sequence[Lead], uv: Array) -> bool:
     return any(bool((np.abs(lead.uv - uv) <= MEETS * reach).all(axis=1).any()) for lead in leads if len(lead.uv) > 1)
 
 
-def _fitted(motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], finer: int = FINER) -> ToleranceFit:
+def _fitted(
+    motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], finer: int = FINER, before: float = np.inf
+) -> ToleranceFit:
+    """The fit of a face. finer : how often its nodes may still be made more; before : how far it was off its leads when they
+    were fewer."""
     goal, read = motion.goal, motion.source.surface
-    still = still_sides(read, field, goal.threshold)
-    following = Following(replace(motion.hold, curves=(*motion.hold.curves, *still)), leads)
+    following = Following(motion.hold, leads, motion.flat)
     if goal.refine and finer and (axes := _sparse(read, field, leads)):
         return _fitted(motion, denser(field, read.domain, axes), leads, finer=finer - 1)
     tries: list[tuple[Knots | None, Knots | None]] = [(None, None)]
@@ -210,13 +231,16 @@ def _fitted(motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], finer
     for kept, start in tries:
         with suppress(GeometryError):
             fits.append(fit_to_tolerance(read, field, goal, constraint=following.given, kept=kept, start=start))
-            if goal.refine and finer and not _closes(fits[-1], leads):
+            off = _off(fits[-1], leads)
+            if goal.refine and finer and 1.0 < off <= HELPS * before:
                 # an edge may need knots closer than the nodes stand: their own interpolation says what is between
-                return _fitted(motion, denser(field, read.domain, _along(read, leads)), leads, finer=finer - 1)
+                dense = denser(field, read.domain, _along(read, leads))
+                other = _fitted(motion, dense, leads, finer=finer - 1, before=off)
+                return other if _off(other, leads) < off else fits[-1]
             if goal.refine and finer and fits[-1].outcome == "within" and fits[-1].between > goal.tolerance:
                 return _calmed(motion, field, leads, fits[-1])
             near = fits[-1].outcome == "within" and fits[-1].between <= STRAYING * goal.tolerance
-            if near or fits[-1].outcome == "limit":
+            if off <= 1.0 and (near or fits[-1].outcome == "limit"):
                 return fits[-1]
     if not fits:
         if motion.last is None:
@@ -224,6 +248,9 @@ def _fitted(motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], finer
                 "its nodes determine no net", where=motion.source.name, mend="use a smaller node spacing"
             )
         return motion.last()
+    # closed edges come first
+    gaps = [max(_off(fit, leads), 1.0) for fit in fits]
+    fits = [fit for fit, off in zip(fits, gaps, strict=True) if off <= MUCH * min(gaps)]
     worst = [max(fit.error.maximum, fit.between) for fit in fits]
     return fits[next(k for k, off in enumerate(worst) if off <= MUCH * min(worst))]
 
@@ -260,5 +287,6 @@ def _calmed(motion: FaceMotion, field: NodeField, leads: tuple[Lead, ...], fit: 
     return calmed if worst[0] < worst[1] else fit
 
 
-def _closes(fit: ToleranceFit, leads: tuple[Lead, ...]) -> bool:
-    return bool((fit.fit.lacking() <= 1.0).all()) and follows(fit.fit.surface, leads)
+def _off(fit: ToleranceFit, leads: tuple[Lead, ...]) -> float:
+    """How far a fit is from what its leads ask, over their tolerances."""
+    return max((float(off_lead(fit.fit.surface, fit.fit.displacement, lead).max()) for lead in leads), default=0.0)

@@ -29,6 +29,12 @@ ON_SIDE = 1e-7
 
 MOST_ROUNDS = 40
 
+HALVINGS = 8
+"""Times that the spans beside a corner are halved where two tangents meet there."""
+
+FIRMLY = 1e6
+"""How much more what is given of a row weighs than what it is fitted to."""
+
 MOST_PIECES = 4
 """A span is cut into no more pieces at once."""
 
@@ -99,32 +105,58 @@ def _clamped(surface: BSplineSurface, axis: int, end: int) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Following:
-    """All that is given of a face's fit: what is held, and what it follows."""
+    """All that is given of a face's fit: what is held, what it follows, and the sides along which its tangents stay where no
+    edge asks otherwise."""
 
     hold: Hold
     leads: tuple[Lead, ...]
+    flat: tuple[Array, ...] = ()
 
     def given(self, net: BSplineSurface) -> Given:
         """For a net, the control points that are given and what is asked of the others."""
-        mask = self.hold.control_points(net)
-        held = mask.copy()
-        values = np.zeros((*net.shape, 3))
+        held = self.hold.control_points(net)
+        values, mask = side_values(net, self.leads, held, self.flat)
         asked: list[Asked] = []
-        times = np.zeros(net.shape)
         for lead in self.leads:
-            side = side_of(net, lead.uv)
-            if side is not None:
-                for depth, row in enumerate(boundary_rows(net, side, lead)):
-                    index = _row(net, side, depth)
-                    _share(values, times, mask, index, row)
-            elif (corner := corner_point(net, lead.uv)) is not None:
-                _share(values, times, mask, corner, lead.displacement[0])
-            else:
+            if side_of(net, lead.uv) is None and corner_point(net, lead.uv) is None:
                 asked.append(Asked(lead.uv, lead.displacement, np.full(len(lead.uv), lead.tolerance)))
                 if lead.across is not None and lead.direction is not None and lead.slack is not None:
                     asked.append(Asked(lead.uv, lead.across, lead.slack, lead.direction))
-        values[held] = 0.0
         return Given(mask, values if self.leads else None, tuple(asked))
+
+
+def side_values(
+    net: BSplineSurface, leads: Sequence[Lead], held: Mask | None = None, flat: Sequence[Array] = ()
+) -> tuple[Array, Mask]:
+    """The displacements (r, s, 3) of the control points on sides and corners that leads give, and of those that are held, and
+    which those are (r, s).
+
+    The edges come first, so that they stay closed wherever two meet; then the tangents stay along the sides `flat`; those
+    across the edges take what is left, and where two of these give one control point, beside a corner, their mean.
+    """
+    mask = np.zeros(net.shape, dtype=np.bool_) if held is None else held.copy()
+    values, times = np.zeros((*net.shape, 3)), np.zeros(net.shape)
+    sides = [(side, lead) for lead in leads if (side := side_of(net, lead.uv)) is not None]
+    for side, lead in sides:
+        _share(values, times, mask, _row(net, side, 0), _edge_row(net, side, lead))
+    for lead in leads:
+        if side_of(net, lead.uv) is None and (corner := corner_point(net, lead.uv)) is not None:
+            _share(values, times, mask, corner, lead.displacement[0])
+    if held is not None:
+        values[held] = 0.0
+    for chain in flat:
+        if (side := side_of(net, chain)) is not None and net.shape[side.axis] > 2:
+            mask[_row(net, side, 1)] = True
+    known, edges = mask.copy(), values.copy()
+    times[:] = 0.0
+    for side, lead in sides:
+        if lead.across is None or net.shape[side.axis] < 3:
+            continue
+        index, fixed = _row(net, side, 1), known[_row(net, side, 1)]
+        row = _tangent_row(net, side, lead, edges[_row(net, side, 0)], fixed, edges[index])
+        _share(values, times, mask, index, row)
+    values[known] = edges[known]
+    return values, mask
 
 
 def _share(values: Array, times: Array, mask: Mask, index: tuple[int | slice, ...], row: Array) -> None:
@@ -155,32 +187,63 @@ def corner_point(net: BSplineSurface, uv: Array) -> tuple[int, int] | None:
 
 def boundary_rows(net: BSplineSurface, side: Side, lead: Lead) -> list[Array]:
     """Displacements (count, 3) of the boundary row for which its curve is nearest to the lead's, and of the next row."""
-    axis, along = side.axis, 1 - side.axis
+    rows = [_edge_row(net, side, lead)]
+    if lead.across is not None and net.shape[side.axis] > 2:
+        rows.append(_tangent_row(net, side, lead, rows[0]))
+    return rows
+
+
+def _side_bases(net: BSplineSurface, side: Side, lead: Lead) -> tuple[Array, Array, Array, Array, Array]:
+    """Along a side: the basis (n, count) at the lead's places and its slope, the lift T of the free rows, and the weights of
+    the boundary row and of the next."""
+    along = 1 - side.axis
     knots, degree = _direction(net, along)
     t = np.clip(lead.uv[:, along], *net.domain[along])
-    basis = design_matrix(knots, degree, t)
-    T = unknowns(net, along, [], joints(net, along))
     weights = np.ones(net.shape) if net.weights is None else net.weights
-    w = np.moveaxis(weights, axis, 0)
+    w = np.moveaxis(weights, side.axis, 0)
     end, step = (0, 1) if side.end == 0 else (-1, -1)
-    w0, w1 = w[end], w[end + step]
+    T = unknowns(net, along, [], joints(net, along))
+    return design_matrix(knots, degree, t), design_matrix(knots, degree, t, 1), T, w[end], w[end + step]
+
+
+def _edge_row(net: BSplineSurface, side: Side, lead: Lead) -> Array:
+    """The boundary row for which its curve is nearest to the lead's."""
+    basis, _, T, w0, _ = _side_bases(net, side, lead)
     W = basis @ w0
-    q0 = T @ _fitted(basis @ T, lead.displacement * W[:, None])
-    rows = [q0 / w0[:, None]]
-    if lead.across is not None and lead.direction is not None and net.shape[axis] > 2:
-        # D = Q / W; across the edge only the two outermost rows have a slope
-        across_knots, across_degree = _direction(net, axis)
-        slopes = design_matrix(across_knots, across_degree, np.array([net.domain[axis][side.end]]), 1)[0]
-        s0, s1 = float(slopes[end]), float(slopes[end + step])
-        slope = design_matrix(knots, degree, t, 1)
-        D = (basis @ q0) / W[:, None]
-        D_along = (slope @ q0 - D * (slope @ w0)[:, None]) / W[:, None]
-        a, b = lead.direction[:, axis, None], lead.direction[:, along, None]
-        wanted = (lead.across - b * D_along) / a
-        W_across = s0 * W + s1 * (basis @ w1)
-        values = (wanted * W[:, None] + D * W_across[:, None] - s0 * (basis @ q0)) / s1
-        rows.append(T @ _fitted(basis @ T, values) / w1[:, None])
-    return rows
+    return T @ _fitted(basis @ T, lead.displacement * W[:, None]) / w0[:, None]
+
+
+def _tangent_row(
+    net: BSplineSurface,
+    side: Side,
+    lead: Lead,
+    edge: Array,
+    fixed: Mask | None = None,
+    known: Array | None = None,
+) -> Array:
+    """The row behind a boundary row `edge` (count, 3) for which the slope across it is nearest to the lead's; fixed : control
+    points of it that have the displacements `known` (count, 3)."""
+    assert lead.across is not None
+    assert lead.direction is not None
+    axis, along = side.axis, 1 - side.axis
+    basis, slope, T, w0, w1 = _side_bases(net, side, lead)
+    end, step = (0, 1) if side.end == 0 else (-1, -1)
+    q0, W = edge * w0[:, None], basis @ w0
+    # D = Q / W; across the edge only the two outermost rows have a slope
+    across_knots, across_degree = _direction(net, axis)
+    slopes = design_matrix(across_knots, across_degree, np.array([net.domain[axis][side.end]]), 1)[0]
+    s0, s1 = float(slopes[end]), float(slopes[end + step])
+    D = (basis @ q0) / W[:, None]
+    D_along = (slope @ q0 - D * (slope @ w0)[:, None]) / W[:, None]
+    a, b = lead.direction[:, axis, None], lead.direction[:, along, None]
+    wanted = (lead.across - b * D_along) / a
+    W_across = s0 * W + s1 * (basis @ w1)
+    values = (wanted * W[:, None] + D * W_across[:, None] - s0 * (basis @ q0)) / s1
+    matrix = basis @ T
+    if fixed is not None and known is not None and fixed.any():
+        matrix = np.concatenate([matrix, FIRMLY * T[fixed]])
+        values = np.concatenate([values, FIRMLY * known[fixed] * w1[fixed, None]])
+    return T @ _fitted(matrix, values) / w1[:, None]
 
 
 def _off(net: BSplineSurface, side: Side, lead: Lead) -> Array:
@@ -188,11 +251,16 @@ def _off(net: BSplineSurface, side: Side, lead: Lead) -> Array:
     values = np.zeros((*net.shape, 3))
     for depth, row in enumerate(boundary_rows(net, side, lead)):
         values[_row(net, side, depth)] = row
-    apart = displacement_along(net, values, lead.uv) - lead.displacement
+    return off_lead(net, values, lead)
+
+
+def off_lead(net: BSplineSurface, displacement: Array, lead: Lead) -> Array:
+    """How far displacements (r, s, 3) of the control points are from what a lead asks, over its tolerance, at its places."""
+    apart = displacement_along(net, displacement, lead.uv) - lead.displacement
     away = np.sqrt(np.einsum("nc,nc->n", apart, apart)) / lead.tolerance
     if lead.across is None or lead.direction is None or lead.slack is None:
         return away
-    turned = displacement_along(net, values, lead.uv, lead.direction) - lead.across
+    turned = displacement_along(net, displacement, lead.uv, lead.direction) - lead.across
     return np.maximum(away, np.sqrt(np.einsum("nc,nc->n", turned, turned)) / lead.slack)
 
 
@@ -223,7 +291,39 @@ def edge_knots(
         most = most_control_points // (surface.shape[1 - along] + len(found[1 - along])) - surface.shape[along]
         search = _EdgeSearch(surface, side, lead, nodes, found[1 - along], theirs, most)
         found[along] = search.found()
+    if any(lead.across is not None for lead in leads):
+        found = _beside_corners(surface, field, leads, found, most_control_points)
     return found[0], found[1]
+
+
+def _beside_corners(
+    surface: BSplineSurface, field: NodeField, leads: Sequence[Lead], found: list[Array], most_control_points: int
+) -> list[Array]:
+    """More knots beside the corners where two sides ask their tangents of one control point: it reaches no farther then."""
+    sides = [
+        (side, lead) for lead in leads if (side := side_of(surface, lead.uv)) is not None and lead.across is not None
+    ]
+    corners = {(a.end, b.end) for a, _ in sides for b, _ in sides if a.axis == 1 and b.axis == 0}
+    # (the side of axis 1 is at an end of v and runs along u; the corner is at the ends of both)
+    before = np.inf
+    for _ in range(HALVINGS if corners else 0):
+        net = insert_knots(surface, *found)
+        values, _ = side_values(net, leads)
+        worst = max(float(off_lead(net, values, lead).max()) for _, lead in sides)
+        if worst <= 1.0 or worst > 0.9 * before:
+            break
+        before, more = worst, list(found)
+        for v_end, u_end in sorted(corners):
+            for axis, end in ((0, u_end), (1, v_end)):
+                borders = breakpoints(*_direction(net, axis))
+                a, b = borders[:2] if end == 0 else borders[-2:]
+                nodes = (field.u, field.v)[axis]
+                more[axis] = _joined(surface, axis, more[axis], np.array([0.5 * (a + b)]), nodes)
+        shape = [surface.shape[k] + len(more[k]) for k in (0, 1)]
+        if shape[0] * shape[1] > most_control_points or all(len(m) == len(f) for m, f in zip(more, found, strict=True)):
+            break
+        found = more
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -324,10 +424,9 @@ class _EdgeSearch:
 
 
 def follows(net: BSplineSurface, leads: Sequence[Lead]) -> bool:
-    """Whether the net can do along its sides what its leads ask."""
-    return all(
-        bool((_off(net, side, lead) <= 1.0).all()) for lead in leads if (side := side_of(net, lead.uv)) is not None
-    )
+    """Whether the net can do along its sides what its leads ask, all together."""
+    values, _ = side_values(net, leads)
+    return all(bool((off_lead(net, values, lead) <= 1.0).all()) for lead in leads if side_of(net, lead.uv) is not None)
 
 
 def follows_with_its_knots(surface: BSplineSurface, lead: Lead) -> bool:

@@ -19,6 +19,9 @@ POINTS = 1024
 MEETING = 1e-4
 """Two edges are one when they run within this part of the faces' size of each other."""
 
+POLE = 1e-6
+"""A direction in which the whole domain would be shorter than this part of the surface's size is none."""
+
 RELATIVE = 1e-7
 """How far apart two faces may be along their common edge when their file says nothing, as a part of their size."""
 
@@ -112,11 +115,20 @@ def gap(seam: Seam, surface_a: BSplineSurface, surface_b: BSplineSurface) -> flo
 
 def angle(seam: Seam, surface_a: BSplineSurface, surface_b: BSplineSurface) -> float:
     """Largest angle, in degrees, between the two sides' tangent planes at the seam's points; poles left out."""
-    a, b = surface_a.normal(*seam.uv_a.T), surface_b.normal(*seam.uv_b.T)
+    plain = _plain(surface_a, seam.uv_a) & _plain(surface_b, seam.uv_b)
+    a, b = surface_a.normal(*seam.uv_a[plain].T), surface_b.normal(*seam.uv_b[plain].T)
     sine = np.linalg.norm(np.cross(a, b), axis=1)
     turned = np.degrees(np.arctan2(sine, np.abs(np.einsum("nc,nc->n", a, b))))
     turned = turned[np.isfinite(turned)]
     return float(turned.max(initial=0.0))
+
+
+def _plain(surface: BSplineSurface, uv: Array) -> NDArray[np.bool_]:
+    """Where a surface has two directions: not at a pole, where the normal is one of rounding."""
+    jet = surface.derivatives(uv[:, 0], uv[:, 1], 1)
+    reach = np.diff(np.array(surface.domain), axis=1)[:, 0]
+    lengths = [np.linalg.norm(slope, axis=1) * r for slope, r in zip((jet[1, 0], jet[0, 1]), reach, strict=True)]
+    return np.asarray(np.minimum(*lengths) > POLE * surface.size)
 
 
 def closest(surface: BSplineSurface, points: Array, start: Array, rounds: int = 20) -> Array:
