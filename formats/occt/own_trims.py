@@ -79,14 +79,20 @@ def keep_trims(face: TopoDS_Face, offers: Offers, tolerance: float) -> int:
     geom = spline_of_face(face)
     if geom is None:
         return 0
+    surface = placement(face)[0]
+    assert isinstance(surface, Geom_Surface)
     plans = []
     for edge in edges_of(face):
         found = offers(edge)
-        if found:
-            _set_range(edge, geom, found, tolerance)
-        plan = _plan(edge, geom, placement(face)[0], found, tolerance) if found else None
-        if plan is not None:
-            plans.append(plan)
+        if not found:
+            continue
+        ends = tuple(BRep_Tool.Range_s(edge))
+        _set_range(edge, surface, geom, found, tolerance)
+        curves = _chosen(edge, geom, surface, found, tolerance)
+        if curves is not None:
+            plans.append(_Plan(_bare(edge), curves[0], curves[1], ends))
+        elif not _covers(edge, surface):
+            BRep_Builder().Range(_bare(edge), *ends, False)  # the kernel's own is cut there
     if not plans:
         return 0
     before = BRepCheck_Analyzer(face).IsValid()
@@ -100,9 +106,12 @@ def keep_trims(face: TopoDS_Face, offers: Offers, tolerance: float) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plan:
+    """The trim curves that an edge gets, and the range that it had."""
+
     edge: TopoDS_Edge
     held: BRep_CurveOnSurface
     curves: tuple[Geom2d_Curve, ...]
+    ends: tuple[float, ...]
 
     def put(self) -> Callable[[], None]:
         """Put the curves into the edge. Returns what takes them out again."""
@@ -113,6 +122,7 @@ class _Plan:
         settle_edge(self.edge)
 
         def take_back() -> None:
+            BRep_Builder().Range(self.edge, *self.ends, False)
             set_curves(self.held, old)
             for shape, value in tolerances:
                 shape.Tolerance(value)
@@ -133,11 +143,23 @@ def set_curves(held: BRep_CurveOnSurface, curves: tuple[Geom2d_Curve, ...]) -> N
     held.Update()
 
 
-def _plan(
-    edge: TopoDS_Edge, geom: Geom_BSplineSurface, surface: object, offered: Sequence[Offered], tolerance: float
-) -> _Plan | None:
-    """What to put into an edge; None where it has that already, or the offer is not sound."""
-    bare = TopoDS.Edge(edge.Located(TopLoc_Location()).Oriented(FORWARD))
+def _bare(edge: TopoDS_Edge) -> TopoDS_Edge:
+    """The edge in its own frame."""
+    return TopoDS.Edge(edge.Located(TopLoc_Location()).Oriented(FORWARD))
+
+
+def _covers(edge: TopoDS_Edge, surface: Geom_Surface) -> bool:
+    """The trim curves on a surface are as long as the edge."""
+    first, last = BRep_Tool.Range_s(edge)
+    mine = [c.curve for c in curves_on_faces(_bare(edge)) if c.surface is surface]
+    return all(curve.FirstParameter() <= first and last <= curve.LastParameter() for curve in mine)
+
+
+def _chosen(
+    edge: TopoDS_Edge, geom: Geom_BSplineSurface, surface: Geom_Surface, offered: Sequence[Offered], tolerance: float
+) -> tuple[BRep_CurveOnSurface, tuple[Geom2d_Curve, ...]] | None:
+    """What to put into an edge, and where; None where it has that already, or the offer is not sound."""
+    bare = _bare(edge)
     every = [item for item in bare.TShape().Curves() if isinstance(item, BRep_CurveOnSurface)]
     mine = [item for item in every if item.Surface() is surface]
     if len(mine) != 1:
@@ -185,7 +207,7 @@ def _plan(
         else:
             if all(_same(a, b, t, span) for a, b in zip(made, old, strict=True)):
                 return None
-            return _Plan(bare, held, tuple(made))
+            return held, tuple(made)
     return None
 
 
@@ -199,9 +221,11 @@ def _aside(points: Array, curve: Geom_Curve | None, place: TopLoc_Location, star
     return float(np.sqrt((away * away).sum(axis=2)).min(axis=1).max())
 
 
-def _set_range(edge: TopoDS_Edge, geom: Geom_BSplineSurface, offered: Sequence[Offered], tolerance: float) -> None:
-    """Let an edge begin and end where its trim curves do, unless a vertex is too far from there."""
-    bare = TopoDS.Edge(edge.Located(TopLoc_Location()).Oriented(FORWARD))
+def _set_range(
+    edge: TopoDS_Edge, surface: Geom_Surface, geom: Geom_BSplineSurface, offered: Sequence[Offered], tolerance: float
+) -> None:
+    """Let an edge begin and end where the trim curves on a surface do, unless a vertex is too far from there."""
+    bare = _bare(edge)
     splines = [item for item in offered if isinstance(item.curve, Geom2d_BSplineCurve)]
     curve, place = curve_of_edge(bare)
     now = tuple(BRep_Tool.Range_s(bare))
@@ -210,7 +234,8 @@ def _set_range(edge: TopoDS_Edge, geom: Geom_BSplineSurface, offered: Sequence[O
         return
     ((low, high),) = ranges
     bounds = [(curve.FirstParameter(), curve.LastParameter())]
-    bounds += [(item.curve.FirstParameter(), item.curve.LastParameter()) for item in curves_on_faces(bare)]
+    others = [item.curve for item in curves_on_faces(bare) if item.surface is not surface]
+    bounds += [(other.FirstParameter(), other.LastParameter()) for other in others]
     slack = 1e-9 * (high - low)
     if any(low < first - slack or high > last + slack for first, last in bounds):
         return
@@ -232,7 +257,7 @@ def bounded(faces: Iterable[TopoDS_Face]) -> Callable[[], None]:
     seen = IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher()
     for face in faces:
         for edge in edges_of(face):
-            bare = TopoDS.Edge(edge.Located(TopLoc_Location()).Oriented(FORWARD))
+            bare = _bare(edge)
             if seen.Contains(bare):
                 continue
             seen.Add(bare)
