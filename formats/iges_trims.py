@@ -148,19 +148,17 @@ def _offers(edge: TopoDS_Edge, geom: Geom_BSplineSurface, flats: Sequence[_Flat]
     bounds = np.array(geom.Bounds()).reshape(2, 2)
     span = bounds[:, 1] - bounds[:, 0]
     period = np.where([geom.IsUPeriodic(), geom.IsVPeriodic()], span, 0.0)
+    starts = np.array([flat.places for flat in flats])
+    every = np.concatenate([starts, starts[:, ::-1]])  # either way
     found = []
     for held in curves_on_faces(edge):
         if basis_of_geom(held.surface) is not geom:
             continue
-        here = sample_trim(held.curve, held.first + _PLACES * (held.last - held.first))
-        best, least = None, ALIKE[own]
-        for flat in flats:
-            for places in (flat.places, flat.places[::-1]):
-                away = here - places
-                apart = float(np.abs((away - np.round(away.mean(axis=0) / span) * period) / span).max())
-                if apart < least:
-                    best, least = flat, apart
-        if best is None:
+        away = sample_trim(held.curve, held.first + _PLACES * (held.last - held.first)) - every
+        turns = np.round(away.mean(axis=1, keepdims=True) / span) * period
+        apart = np.abs((away - turns) / span).max(axis=(1, 2))
+        best = int(np.argmin(apart))
+        if apart[best] >= ALIKE[own]:
             return []
-        found.append(Offered(best.geom, own))
+        found.append(Offered(flats[best % len(flats)].geom, own))
     return found

@@ -17,7 +17,6 @@ from OCP.TopoDS import TopoDS_Shape
 from .._version import __version__
 from ..errors import InputError
 from .atomic import write_whole
-from .iges_entities import spline_counts
 from .iges_records import IgesFile, order_properties, parse, text_of
 from .occt.own_trims import bounded
 from .occt.part import OcctPart
@@ -75,8 +74,6 @@ def _settled(file: IgesFile, name: str) -> IgesFile:
     """The kernel's file with shortest exact numbers and a header that tells no time and no person."""
     for entity in file.entities:
         entity.parameters = [step_real(float(p)) if _REAL.fullmatch(p) else p for p in entity.parameters]
-        if entity.type == 128:
-            _fill_ends(entity.parameters)
     order_properties(file)  # the kernel has them in the order of memory addresses
     system = f"{SYSTEM} {__version__}"
     header = {2: "cadsculpt part", 3: name, 4: system, 5: "Open CASCADE 8", 11: "", 20: "", 21: ""}
@@ -88,19 +85,6 @@ def _settled(file: IgesFile, name: str) -> IgesFile:
             file.header[place] = DATE
     file.header = [step_real(float(p)) if _REAL.fullmatch(p) else p for p in file.header]
     return file
-
-
-def _fill_ends(parameters: list[str]) -> None:
-    """Give a closed surface full knots at its ends where the kernel writes other outermost ones, which shape nothing."""
-    counts = spline_counts(parameters)
-    if counts is None:
-        return
-    begin = 10
-    for upper, degree in zip(*counts, strict=True):
-        end = begin + upper + degree + 1
-        if parameters[begin + 1] == parameters[begin + degree] and parameters[end - 1] == parameters[end - degree]:
-            parameters[begin], parameters[end] = parameters[begin + 1], parameters[end - 1]
-        begin = end + 1
 
 
 def _has_solid(shape: TopoDS_Shape) -> bool:

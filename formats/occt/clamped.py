@@ -86,10 +86,7 @@ def _unroll(surface: Geom_Surface, group: Sequence[Clamped]) -> bool:
                     return False
     sound = [BRepCheck_Analyzer(item.face).IsValid() for item in group]
     old = [(held, curves_of(held)) for held, _ in shifts]
-    if axes[0]:
-        geom.SetUNotPeriodic()
-    if axes[1]:
-        geom.SetVNotPeriodic()
+    _clamp(geom, axes)
     for held, shift in shifts:
         set_curves(held, tuple(_moved(curve, shift) for curve in curves_of(held)))
     if all(BRepCheck_Analyzer(item.face).IsValid() for item, good in zip(group, sound, strict=True) if good):
@@ -101,6 +98,25 @@ def _unroll(surface: Geom_Surface, group: Sequence[Clamped]) -> bool:
     for held, curves in old:
         set_curves(held, curves)
     return False
+
+
+def _clamp(geom: Geom_BSplineSurface, axes: tuple[bool, bool]) -> None:
+    """Unroll periodic directions, with full knots at the ends."""
+    if axes[0]:
+        geom.SetUNotPeriodic()
+    if axes[1]:
+        geom.SetVNotPeriodic()
+    rows, columns = range(1, geom.NbUPoles() + 1), range(1, geom.NbVPoles() + 1)
+    net = [(i, j, geom.Pole(i, j), geom.Weight(i, j)) for i in rows for j in columns]
+    rational = geom.IsURational() or geom.IsVRational()
+    geom.Segment(*geom.Bounds())  # the ends have as many knots as the degree so far
+    if (geom.NbUPoles(), geom.NbVPoles()) != (len(rows), len(columns)):
+        return
+    for i, j, pole, weight in net:  # inserting the last of the knots moves nothing, but rounds
+        if rational:
+            geom.SetPole(i, j, pole, weight)
+        else:
+            geom.SetPole(i, j, pole)
 
 
 def _parts(shape: TopoDS_Shape) -> list[TopoDS_Shape]:

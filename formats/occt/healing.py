@@ -13,10 +13,12 @@ _CUTS = (
     "FixIntersectingEdgesMode",
     "FixNonAdjacentIntersectingEdgesMode",
     "FixTailMode",
-    "FixLackingMode",
 )
-"""Where trim curves cross, or nearly do, the kernel cuts them off and moves their vertex; where they do not quite meet, it puts
-short ones between them."""
+"""Where trim curves cross, or nearly do, the kernel cuts them off and moves their vertex."""
+
+_BRIDGES = ("FixLackingMode",)
+"""Where trim curves do not quite meet, the kernel puts short ones between them; in STEP, where edges that are points are not
+written, it brings those back."""
 
 _DEFAULTS = {
     "step": {"FixTailMode": "0"},
@@ -33,7 +35,8 @@ def set_healing(reader: Any, format: str, *, own: bool) -> None:
     """
     reader.SetShapeFixParameters(DE_ShapeFixParameters())
     values = reader.GetShapeFixParameters()
-    chosen = {**dict.fromkeys(_CUTS, "-1"), **_DEFAULTS[format], **(dict.fromkeys(_CUTS, "0") if own else {})}
+    left = _CUTS if format == "step" else _CUTS + _BRIDGES
+    chosen = {**dict.fromkeys(_CUTS + _BRIDGES, "-1"), **_DEFAULTS[format], **(dict.fromkeys(left, "0") if own else {})}
     for name, value in chosen.items():
         values.Bind(TCollection_AsciiString(f"FixShape.{name}"), TCollection_AsciiString(value))
     reader.SetShapeFixParameters(values)

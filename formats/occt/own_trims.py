@@ -26,7 +26,7 @@ from OCP.gp import gp_Vec2d
 from OCP.TopLoc import TopLoc_Location
 from OCP.TopoDS import TopoDS, TopoDS_Edge, TopoDS_Face
 
-from .arrays import from_integers, from_points_2d, from_reals, reals
+from .arrays import reals
 from .boundary import placement
 from .curve import sample_curve, sample_surface, sample_trim
 from .shape import basis_of_geom
@@ -79,14 +79,24 @@ def keep_trims(face: TopoDS_Face, offers: Offers, tolerance: float) -> int:
     geom = spline_of_face(face)
     if geom is None:
         return 0
+    surface = placement(face)[0]
+    assert isinstance(surface, Geom_Surface)
     plans = []
+    size = 0.0
     for edge in edges_of(face):
         found = offers(edge)
-        if found:
-            _set_range(edge, geom, found, tolerance)
-        plan = _plan(edge, geom, placement(face)[0], found, tolerance) if found else None
-        if plan is not None:
-            plans.append(plan)
+        if not found:
+            continue
+        own = all(item.own for item in found)
+        size = size or (_size(geom) if own else 0.0)
+        reach = max(tolerance, NEAR * size) if own else tolerance
+        ends = tuple(BRep_Tool.Range_s(edge))
+        _set_range(edge, surface, found, reach)
+        curves = _chosen(edge, geom, surface, found, reach)
+        if curves is not None:
+            plans.append(_Plan(_bare(edge), curves[0], curves[1], ends))
+        elif not _covers(edge, surface):
+            BRep_Builder().Range(_bare(edge), *ends, False)  # the kernel's own is cut there
     if not plans:
         return 0
     before = BRepCheck_Analyzer(face).IsValid()
@@ -100,9 +110,12 @@ def keep_trims(face: TopoDS_Face, offers: Offers, tolerance: float) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plan:
+    """The trim curves that an edge gets, and the range that it had."""
+
     edge: TopoDS_Edge
     held: BRep_CurveOnSurface
     curves: tuple[Geom2d_Curve, ...]
+    ends: tuple[float, ...]
 
     def put(self) -> Callable[[], None]:
         """Put the curves into the edge. Returns what takes them out again."""
@@ -113,6 +126,7 @@ class _Plan:
         settle_edge(self.edge)
 
         def take_back() -> None:
+            BRep_Builder().Range(self.edge, *self.ends, False)
             set_curves(self.held, old)
             for shape, value in tolerances:
                 shape.Tolerance(value)
@@ -133,11 +147,23 @@ def set_curves(held: BRep_CurveOnSurface, curves: tuple[Geom2d_Curve, ...]) -> N
     held.Update()
 
 
-def _plan(
-    edge: TopoDS_Edge, geom: Geom_BSplineSurface, surface: object, offered: Sequence[Offered], tolerance: float
-) -> _Plan | None:
-    """What to put into an edge; None where it has that already, or the offer is not sound."""
-    bare = TopoDS.Edge(edge.Located(TopLoc_Location()).Oriented(FORWARD))
+def _bare(edge: TopoDS_Edge) -> TopoDS_Edge:
+    """The edge in its own frame."""
+    return TopoDS.Edge(edge.Located(TopLoc_Location()).Oriented(FORWARD))
+
+
+def _covers(edge: TopoDS_Edge, surface: Geom_Surface) -> bool:
+    """The trim curves on a surface are as long as the edge."""
+    first, last = BRep_Tool.Range_s(edge)
+    mine = [c.curve for c in curves_on_faces(_bare(edge)) if c.surface is surface]
+    return all(curve.FirstParameter() <= first and last <= curve.LastParameter() for curve in mine)
+
+
+def _chosen(
+    edge: TopoDS_Edge, geom: Geom_BSplineSurface, surface: Geom_Surface, offered: Sequence[Offered], reach: float
+) -> tuple[BRep_CurveOnSurface, tuple[Geom2d_Curve, ...]] | None:
+    """What to put into an edge, and where; None where it has that already, or the offer is not sound."""
+    bare = _bare(edge)
     every = [item for item in bare.TShape().Curves() if isinstance(item, BRep_CurveOnSurface)]
     mine = [item for item in every if item.Surface() is surface]
     if len(mine) != 1:
@@ -149,22 +175,24 @@ def _plan(
     if all(any(equal(item.curve, now) for item in offered) for now in old):
         return None
     first, last = held.First(), held.Last()
+    domain = np.array(geom.Bounds()).reshape(2, 2)
+    span = domain[:, 1] - domain[:, 0]
+    t = first + _SHARES * (last - first)
+    paced = {id(item): list(_at_pace(item.curve, first, last)) for item in offered}
+    if all(any(_same(made, now, t, span) for item in offered for made in paced[id(item)]) for now in old):
+        return None
     curve, place = curve_of_edge(bare)
     start, stop = BRep_Tool.Range_s(bare)
     truth = None if curve is None else placed(sample_curve(curve, start + _SHARES * (stop - start)), place)
-    domain = np.array(geom.Bounds()).reshape(2, 2)
-    span = domain[:, 1] - domain[:, 0]
     period = np.where([geom.IsUPeriodic(), geom.IsVPeriodic()], span, 0.0)
-    near = pace = max(tolerance, BRep_Tool.Tolerance_s(bare))
-    if all(item.own for item in offered):
-        near, pace = max(near, NEAR * _size(geom)), np.inf
-    t = first + _SHARES * (last - first)
+    near = max(reach, BRep_Tool.Tolerance_s(bare))
+    pace = np.inf if all(item.own for item in offered) else near
     for order in permutations(offered):
         made = []
         for item, now in zip(order, old, strict=True):
             ends = sample_trim(now, t[[0, -1]])
             best, least = None, pace
-            for candidate in _at_pace(item.curve, first, last):
+            for candidate in paced[id(item)]:
                 candidate = _turned(candidate, t[[0, -1]], ends, period)
                 uv = sample_trim(candidate, t)
                 if (np.abs(uv[[0, -1]] - ends) > SAME_SIDE * span).any():
@@ -185,7 +213,7 @@ def _plan(
         else:
             if all(_same(a, b, t, span) for a, b in zip(made, old, strict=True)):
                 return None
-            return _Plan(bare, held, tuple(made))
+            return held, tuple(made)
     return None
 
 
@@ -199,9 +227,9 @@ def _aside(points: Array, curve: Geom_Curve | None, place: TopLoc_Location, star
     return float(np.sqrt((away * away).sum(axis=2)).min(axis=1).max())
 
 
-def _set_range(edge: TopoDS_Edge, geom: Geom_BSplineSurface, offered: Sequence[Offered], tolerance: float) -> None:
-    """Let an edge begin and end where its trim curves do, unless a vertex is too far from there."""
-    bare = TopoDS.Edge(edge.Located(TopLoc_Location()).Oriented(FORWARD))
+def _set_range(edge: TopoDS_Edge, surface: Geom_Surface, offered: Sequence[Offered], reach: float) -> None:
+    """Let an edge begin and end where the trim curves on a surface do, unless a vertex is too far from there."""
+    bare = _bare(edge)
     splines = [item for item in offered if isinstance(item.curve, Geom2d_BSplineCurve)]
     curve, place = curve_of_edge(bare)
     now = tuple(BRep_Tool.Range_s(bare))
@@ -210,17 +238,17 @@ def _set_range(edge: TopoDS_Edge, geom: Geom_BSplineSurface, offered: Sequence[O
         return
     ((low, high),) = ranges
     bounds = [(curve.FirstParameter(), curve.LastParameter())]
-    bounds += [(item.curve.FirstParameter(), item.curve.LastParameter()) for item in curves_on_faces(bare)]
+    others = [item.curve for item in curves_on_faces(bare) if item.surface is not surface]
+    bounds += [(other.FirstParameter(), other.LastParameter()) for other in others]
     slack = 1e-9 * (high - low)
     if any(low < first - slack or high > last + slack for first, last in bounds):
         return
     low, high = max(low, *(first for first, _ in bounds)), min(high, *(last for _, last in bounds))
-    exact = max(tolerance, NEAR * _size(geom) if all(item.own for item in offered) else 0.0)
     for vertex, parameter in vertices_of_edge(bare):
         end = low if parameter == now[0] else high
         p = BRep_Tool.Pnt_s(vertex)
         spot = placed(sample_curve(curve, np.array([end])), place)[0]
-        if np.linalg.norm(spot - [p.X(), p.Y(), p.Z()]) > max(exact, BRep_Tool.Tolerance_s(vertex)):
+        if np.linalg.norm(spot - [p.X(), p.Y(), p.Z()]) > max(reach, BRep_Tool.Tolerance_s(vertex)):
             return
     BRep_Builder().Range(bare, low, high, False)
 
@@ -232,7 +260,7 @@ def bounded(faces: Iterable[TopoDS_Face]) -> Callable[[], None]:
     seen = IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher()
     for face in faces:
         for edge in edges_of(face):
-            bare = TopoDS.Edge(edge.Located(TopLoc_Location()).Oriented(FORWARD))
+            bare = _bare(edge)
             if seen.Contains(bare):
                 continue
             seen.Add(bare)
@@ -293,7 +321,7 @@ def _at_pace(curve: Geom2d_Curve, first: float, last: float) -> Iterator[Geom2d_
         made = curve.Copy()
         if backward:
             made.Reverse()
-        knots = from_reals(made.Knots())
+        knots = np.array([made.Knot(i) for i in range(1, made.NbKnots() + 1)])
         share = (knots - knots[0]) / (knots[-1] - knots[0])
         knots = (1.0 - share) * first + share * last
         knots[0], knots[-1] = first, last
@@ -326,14 +354,11 @@ def equal(a: Geom2d_Curve, b: Geom2d_Curve) -> bool:
         return bool((sample_trim(a, np.array([0.0, 1.0])) == sample_trim(b, np.array([0.0, 1.0]))).all())
     if not (isinstance(a, Geom2d_BSplineCurve) and isinstance(b, Geom2d_BSplineCurve)):
         return False
-    if a.Degree() != b.Degree() or a.NbPoles() != b.NbPoles() or a.IsRational() != b.IsRational():
+    if (a.Degree(), a.NbPoles(), a.NbKnots(), a.IsRational()) != (b.Degree(), b.NbPoles(), b.NbKnots(), b.IsRational()):
         return False
-    weights = not a.IsRational() or all(a.Weight(i) == b.Weight(i) for i in range(1, a.NbPoles() + 1))
-    return weights and all(
-        np.array_equal(x, y)
-        for x, y in (
-            (from_points_2d(a.Poles()), from_points_2d(b.Poles())),
-            (from_reals(a.Knots()), from_reals(b.Knots())),
-            (from_integers(a.Multiplicities()), from_integers(b.Multiplicities())),
-        )
+    poles, knots = range(1, a.NbPoles() + 1), range(1, a.NbKnots() + 1)  # one by one: whole arrays take OCP long
+    return (
+        all(a.Knot(i) == b.Knot(i) and a.Multiplicity(i) == b.Multiplicity(i) for i in knots)
+        and all((p := a.Pole(i)).X() == (q := b.Pole(i)).X() and p.Y() == q.Y() for i in poles)
+        and (not a.IsRational() or all(a.Weight(i) == b.Weight(i) for i in poles))
     )
