@@ -7,8 +7,6 @@ from typing import Any
 
 from corpus_index import BALL, TRAPS
 
-SAME = 1e-9
-
 
 def totals(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """The totals by name; what does not hold is listed with the file and the reason that is known."""
@@ -55,50 +53,73 @@ def _reading(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _roundtrip(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    trips = {name: row for name, row in _stage(rows, "roundtrip").items() if "format" in row}
-    largest: dict[str, dict[str, Any]] = {}
+    """Per pair of formats; the error of a face that is lost, or has another net, other loops or another side, is 1."""
+    stage = _stage(rows, "roundtrip")
+    trips = {name: row for name, row in stage.items() if "format" in row}
+    every: dict[str, dict[str, Any]] = {}
     for name, row in trips.items():
         for target, found in row.items():
-            if not isinstance(found, dict):
-                continue
-            pair = largest.setdefault(
-                f"{row['format']}->{target}",
-                {
-                    "files": 0,
-                    "faces": 0,
-                    "same": 0,
-                    "turned": 0,
-                    "error": 0.0,
-                    "lost": 0,
-                    "renamed": 0,
-                    "exceptions": {},
-                },
-            )
-            pair["files"] += 1
-            if "refused" in found:
-                pair["exceptions"][name] = f"refused: {found['refused']}"
-                continue
-            spline = found["spline"]
-            error = max(spline[key] for key in ("control_points", "knots", "weights", "trims"))
-            pair["compared"] = found["compared"]
-            pair["faces"] += spline["faces"]
-            pair["same"] += spline["same"]
-            pair["turned"] += spline["turned"]
-            pair["lost"] += found["lost"]
-            pair["renamed"] += found["renamed"]
-            pair["error"] = max(pair["error"], error)
-            if spline["same"] < spline["faces"] or found["lost"]:
-                pair["exceptions"][name] = (
-                    f"{spline['faces'] - spline['same']} of {spline['faces']} spline faces differ, "
-                    f"{spline['faces'] - spline['same_net']} in the net, {spline['trims_otherwise']} in the number of trims, "
-                    f"{found['lost']} lost; points {spline['control_points']:.2g}, knots {spline['knots']:.2g}, "
-                    f"weights {spline['weights']:.2g}, trims {spline['trims']:.2g} ({spline['worst_face']})"
-                )
+            if isinstance(found, dict):
+                pair = every.setdefault(f"{row['format']}->{target}", _nothing_yet())
+                _add(pair, name, found)
     return {
         "roundtrip_files": len(trips),
-        "roundtrip_max_error": {pair: found["error"] for pair, found in sorted(largest.items())},
-        "roundtrip": dict(sorted(largest.items())),
+        "roundtrip_not_done": {
+            name: next((f"{key}: {row[key]}" for key in ("crashed", "hung", "skipped") if key in row), "no reason")
+            for name, row in stage.items()
+            if "format" not in row
+        },
+        "roundtrip_max_error": {pair: found["error"] for pair, found in sorted(every.items())},
+        "roundtrip_not_same": {
+            pair: f"{found['faces'] - found['same']} of {found['faces']} spline faces, {found['refused']} files refused: "
+            + (", ".join(f"{cause} {count}" for cause, count in sorted(found["causes"].items())) or "nothing else")
+            for pair, found in sorted(every.items())
+            if found["same"] < found["faces"] or found["causes"] or found["refused"]
+        },
+        "roundtrip": dict(sorted(every.items())),
     }
+
+
+def _nothing_yet() -> dict[str, Any]:
+    counts = ("files", "copied", "refused", "faces", "same", "turned", "analytic_faces", "analytic_same", "lost", "more",
+              "renamed", "rescaled_weights", "other_outermost_knots")  # fmt: skip
+    return {**dict.fromkeys(counts, 0), "error": 0.0, "causes": {}, "exceptions": {}}
+
+
+def _add(pair: dict[str, Any], name: str, found: dict[str, Any]) -> None:
+    """One file's row of a pair. Causes count faces; a face may have several."""
+    pair["files"] += 1
+    if "refused" in found:
+        pair["refused"] += 1
+        pair["error"] = 1.0
+        pair["exceptions"][name] = f"refused: {found['refused']}"
+        return
+    pair["compared"] = found["compared"]
+    pair["copied"] += found["copied"]
+    for key in ("lost", "more", "renamed"):
+        pair[key] += found[key]
+    analytic = found.get("analytic", {"faces": 0, "same": 0})
+    pair["analytic_faces"] += analytic["faces"]
+    pair["analytic_same"] += analytic["same"]
+    spline = found.get("spline", {"faces": 0, "same": 0, "error": 0.0, "causes": {}})
+    for key in ("faces", "same", "turned", "rescaled_weights", "other_outermost_knots"):
+        pair[key] += spline.get(key, 0)
+    pair["faces"] += found["lost_splines"]
+    pair["error"] = max(pair["error"], 1.0 if found["lost"] else spline["error"])
+    causes = {**spline["causes"], **{key: found[key] for key in ("lost", "more", "renamed") if found[key]}}
+    for cause, count in causes.items():
+        pair["causes"][cause] = pair["causes"].get(cause, 0) + count
+    if causes:
+        told = ", ".join(f"{cause} {count}" for cause, count in causes.items())
+        off = spline["faces"] - spline["same"]
+        pair["exceptions"][name] = f"{off} of {spline['faces']} spline faces differ: {told}; {_figures(spline)}"
+
+
+def _figures(spline: dict[str, Any]) -> str:
+    if not spline["faces"]:
+        return "no spline face came back"
+    shown = ", ".join(f"{key} {spline[key]:.2g}" for key in ("control_points", "knots", "weights", "trims"))
+    return f"{shown} ({spline['worst_face']})"
 
 
 SHALLOW = 3.0

@@ -16,7 +16,7 @@ from ..part import FaceEdge
 from .archive import BUFFER_VERSION
 from .brep import BOUNDARY_ISO, OUTER_LOOP, SEAM, SINGULAR, Brep, Trim, read_brep
 from .geometry import SurfaceForm, curve_of, encoded, moved, part_of_curve, surface_form, surface_of, trim_curve
-from .joins import is_explicit, without_joins
+from .joins import without_joins
 from .nurbs import Nurbs
 
 Array = NDArray[np.float64]
@@ -88,8 +88,11 @@ class Body:
         loops = [self.brep.loops[i] for i in self.brep.faces[face].loops]
         if len(loops) != 1 or not all(self.brep.trims[t].iso in BOUNDARY_ISO for t in loops[0].trims):
             return False
-        curves = [self.brep.curves2[self.brep.trims[t].curve2] for t in loops[0].trims]
-        return not any(curve is not None and is_explicit(curve, BUFFER_VERSION) for curve in curves)
+        for record in (self.brep.trims[t] for t in loops[0].trims):
+            chunk = self.brep.curves2[record.curve2]
+            if chunk is not None and without_joins(chunk, record.proxy, BUFFER_VERSION)[0] != chunk:
+                return False
+        return True
 
     def read_surface(self, face: int) -> BSplineSurface:
         """The surface of a face as it was read, mm."""

@@ -26,12 +26,13 @@ ZERO = 2.0**-32
 
 
 def iso_of(curve: Nurbs, joins: tuple[Array | None, Array | None], surface: BSplineSurface) -> int:
-    """The ISO of a clamped 2D curve with lines before and after it (`DrawnTrim`)."""
+    """The ISO of a clamped 2D curve with what joins it to its neighbours (`DrawnTrim`)."""
     domain = surface.domain
-    before, after = joins
     control = curve.control_points()
-    corners = [p[None] for p in (before, control, after) if p is not None and p.ndim == 1]
-    points = np.concatenate([control, *corners])
+    if any(join is not None and len(join) > 2 for join in joins):
+        return NOT_ISO
+    points = np.concatenate([control, *(join for join in joins if join is not None)])
+    before, after = (None if joins[0] is None else joins[0][0], None if joins[1] is None else joins[1][1])
     low, high = points.min(axis=0), points.max(axis=0)
     width, size = high - low, np.array([b - a for a, b in domain])
     if not (width <= size / 32.0).any():

@@ -64,11 +64,16 @@ def _shares(curve: TrimCurve) -> Array:
     return evaluate_trim(curve, np.linspace(*trim_domain(curve), 9))
 
 
+BACK = 1.1
+"""How far a bent join steps back, in its length: more than 1, so that it does so whatever its direction."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnTrim:
     """A trim curve as the archive gets it. ends (2, 2): where it starts and ends, joins and all.
 
-    before, after : (2,) where lines that join it to its neighbours start and end, or None; iso : its ON_Surface::ISO;
+    before, after : (m, 2) Bezier points of what joins it to its neighbours (`joined_chunk`), or None; iso : its
+    ON_Surface::ISO;
     explicit : marked as one of a loop along the sides of the domain; moved : how far it is from the curve that was given, as a
     fraction of the range.
     """
@@ -88,7 +93,7 @@ def drawn_loop(
     """The trim curves of one loop. only : it is the face's one loop.
 
     A surface without trims is its whole domain: its loop is made of the domain's sides. Every other curve stays as it is,
-    joined by lines to those that it does not meet, but for seams and poles a little off their side of the domain, where
+    joined by short curves to those that it does not meet, but for seams and poles a little off their side of the domain, where
     openNURBS wants them. exact=False : ends are moved together, and curves along parameter lines made straight.
     Raises InputError when ends lie further apart than MEETING of the range.
     """
@@ -99,8 +104,9 @@ def drawn_loop(
     curves = _sides(given, surface) if whole or not exact else given
     nets = [clamped(nurbs_of_trim(curve)) for curve in curves]
     iso = [iso_of(net, (None, None), surface) for net in nets]
-    for k, item in enumerate(items):
-        if (item.seam or item.degenerate) and iso[k] not in BOUNDARY_ISO:
+    kept = [item.seam or item.degenerate for item in items]
+    for k in range(len(items)):
+        if kept[k] and iso[k] not in BOUNDARY_ISO:
             curves = [*curves[:k], _straight(curves[k], surface), *curves[k + 1 :]]
             nets[k] = clamped(nurbs_of_trim(curves[k]))
             iso[k] = iso_of(nets[k], (None, None), surface)
@@ -112,27 +118,48 @@ def drawn_loop(
         apart = np.abs(arriving - leaving)
         if (apart <= np.maximum(TOUCHING[0], TOUCHING[1] * (np.abs(arriving) + np.abs(leaving)))).all():
             continue
-        if iso[k - 1] and not iso[k]:
-            before[k] = arriving
+        # a line along a side is better bent at its other end; seams and poles must not be bent at all
+        straight = kept[k - 1] and kept[k]
+        if (kept[k - 1], iso[k - 1] > 0) > (kept[k], iso[k] > 0):
+            before[k] = _join(nets[k], arriving, leaving, at_start=True, straight=straight)
         else:
-            after[k - 1] = leaving
+            after[k - 1] = _join(nets[k - 1], arriving, leaving, at_start=False, straight=straight)
     joins = list(zip(before, after, strict=True))
     iso = [iso_of(net, join, surface) for net, join in zip(nets, joins, strict=True)]
     explicit = only and not whole and all(side in BOUNDARY_ISO for side in iso)
     return [
         DrawnTrim(
             nets[k],
-            np.array([ends[k, 0] if before[k] is None else before[k], ends[k, 1] if after[k] is None else after[k]]),
-            before[k],
-            after[k],
+            np.array([ends[k, 0] if first is None else first[0], ends[k, 1] if last is None else last[-1]]),
+            first,
+            last,
             iso[k],
-            explicit and k == 0 and before[k] is None and after[k] is None,
+            explicit and k == 0,
             0.0
             if whole or curves[k] is given[k]
             else float((np.abs(_shares(curves[k]) - _shares(given[k])) / size).max()),
         )
-        for k in range(len(curves))
+        for k, (first, last) in enumerate(joins)
     ]
+
+
+def _join(net: Nurbs, start: Array, end: Array, *, at_start: bool, straight: bool) -> Array:
+    """(m, 2): Bezier points from `start` to `end`, which leads to the start of a curve or away from its end.
+
+    A straight line, or a bent one that leaves and arrives in the curve's direction and steps back on its way. Whether
+    openNURBS takes a curve with a straight line at its end for a parameter line would hang on the last bit of its
+    arithmetic; with a bent one it never does.
+    """
+    if straight:
+        return np.array([start, end])
+    points = net.control_points()
+    along = points[-1] - points[0]
+    if np.hypot(*along) < 0.5 * np.hypot(*np.ptp(points, axis=0)):
+        side = points if at_start else points[::-1]
+        step = next((p - side[0] for p in side[1:] if (p != side[0]).any()), along)
+        along = step if at_start else -step
+    back = BACK * np.hypot(*(end - start)) * along / np.hypot(*along)
+    return np.array([start, start + back if at_start else end - back, end])
 
 
 def _check_closes(curves: Sequence[TrimCurve], size: Array) -> None:

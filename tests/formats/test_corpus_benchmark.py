@@ -61,12 +61,69 @@ def test_the_same_curve_at_another_pace_or_cut_elsewhere_is_the_same(part):
     assert compare(a, replace(a, trims=(TrimLoop(cut, True),))).trims < 1e-12
 
 
+def test_what_only_looks_the_same_is_not(part):
+    """Another side, other loops, a curve that agrees at the places that are looked at; and what shapes nothing is told."""
+    compare = part("corpus_compare").difference
+    a = patch()
+    assert compare(a, replace(a, outward=False)).causes() == ["side"]
+    assert compare(a, replace(a, outward=False), sides=False).same
+    hole = TrimLoop(a.trims[0].curves, False)
+    assert compare(a, replace(a, trims=(hole,))).causes() == ["trim loops"]
+    spans = 32
+    # a wave that is nought at every place in 33
+    x = np.linspace(0.2, 0.8, 2 * spans + 1)
+    line, wave = (np.stack([x, 0.2 + high * (np.arange(len(x)) % 2)], axis=1) for high in (0.0, 1e-5))
+    knots = np.concatenate([[0.0], np.repeat(np.linspace(0.0, 1.0, spans + 1), 2), [1.0]])
+    back = TrimCurve(np.array([(0.8, 0.2), (0.5, 0.8), (0.2, 0.2)]), np.array([0.0, 0, 1, 2, 2]), 1)
+    first, second = (replace(a, trims=(TrimLoop((TrimCurve(p, knots, 2), back)),)) for p in (line, wave))
+    assert compare(first, second).causes() == ["trims"]
+    ends_off = a.knots_u.copy()
+    ends_off[0] -= 0.5
+    assert compare(a, replace(a, knots_u=ends_off)).causes() == ["knots"]
+    told = compare(a, replace(a, knots_u=ends_off), outermost=False)
+    assert told.same
+    assert told.outermost_knots > 0.1
+    assert compare(a, replace(a, weights=3.0 * a.weights)).weight_factor == pytest.approx(2.0)
+
+
+def test_totals_hide_no_face(part):
+    """Lost faces, other loops, files that were refused or not done at all: each is in the totals, with an error of 1."""
+    totals = part("corpus_totals").totals
+    figures = dict.fromkeys(("control_points", "knots", "weights", "trims"), 0.0)
+    good = {"faces": 3, "same": 3, "causes": {}, "error": 0.0, "turned": 0, "worst_face": "a", **figures}
+    names = {"more": 0, "renamed": 0, "compared": "all", "copied": False}
+
+    def row(file, **found):
+        return {"file": file, "roundtrip": {"format": "step", **found}}
+
+    kept = {"spline": good, "lost": 0, "lost_splines": 0, **names}
+    lost = {"spline": good, "lost": 1, "lost_splines": 1, **names}
+    gone = {"lost": 2, "lost_splines": 2, **names}
+    loops = {**kept, "spline": {**good, "same": 2, "causes": {"trim loops": 1}, "error": 1.0}}
+    rows = [
+        row("a", iges=kept, g2=lost, json=gone, step=loops),
+        row("b", iges=kept, g2=kept, json=kept, step={"refused": "no"}),
+        {"file": "c", "roundtrip": {"crashed": "died"}},
+    ]
+    found = totals(rows)
+    assert found["roundtrip_max_error"] == {"step->g2": 1.0, "step->iges": 0.0, "step->json": 1.0, "step->step": 1.0}
+    assert found["roundtrip_not_done"] == {"c": "crashed: died"}
+    assert found["roundtrip"]["step->json"]["faces"] == 5
+    assert found["roundtrip_not_same"] == {
+        "step->g2": "1 of 7 spline faces, 0 files refused: lost 1",
+        "step->json": "2 of 5 spline faces, 0 files refused: lost 2",
+        "step->step": "1 of 3 spline faces, 1 files refused: trim loops 1",
+    }
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_surface_run_the_other_way_is_turned_back(axis, part):
     m = part("corpus_compare")
     a = patch()
-    found = m.difference(a, m._reversed(a, axis))
+    found = m.difference(a, replace(m._reversed(a, axis), outward=False))
     assert found.turned
+    assert found.same
+    assert m.difference(a, m._reversed(a, axis)).flipped
     assert found.largest < 1e-14
 
 
