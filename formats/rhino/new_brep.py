@@ -22,7 +22,7 @@ from .archive import BUFFER_VERSION
 from .brep import BOUNDARY, INNER_LOOP, MATED, OUTER_LOOP, SEAM, SINGULAR, Brep, BrepFace, Edge, Loop, Trim, Vertex
 from .geometry import curve_points
 from .joins import joined_chunk
-from .new_trims import DrawnTrim, drawn_loop
+from .new_trims import TOUCHING, DrawnTrim, drawn_loop
 from .nurbs import Nurbs, nurbs_chunk
 
 Array = NDArray[np.float64]
@@ -132,7 +132,22 @@ class BrepBuilder:
         self._vertices.append((corner, float(BRep_Tool.Tolerance_s(corner))))
         return len(self._vertices) - 1
 
+    def _merge_vertices(self) -> None:
+        """Make one vertex of the two at the ends of an edge that is closed: openNURBS takes it in no other way."""
+        one = list(range(len(self._vertices)))
+        for (_, _, (start, end), _), spots in zip(self._edges, self._edge_ends, strict=True):
+            if one[start] != one[end] and np.abs(spots[0] - spots[1]).max() <= TOUCHING[0]:
+                low, high = sorted((one[start], one[end]))
+                one = [low if place == high else place for place in one]
+        kept = sorted(set(one))
+        place = {old: kept.index(one[old]) for old in range(len(one))}
+        self._vertices = [self._vertices[old] for old in kept]
+        self._edges = [(e, domain, (place[a], place[b]), tolerance) for e, domain, (a, b), tolerance in self._edges]
+        self.trims = [replace(t, vertices=(place[t.vertices[0]], place[t.vertices[1]])) for t in self.trims]
+
     def brep(self) -> Brep:
+        """The Brep of the faces that were added."""
+        self._merge_vertices()
         on_edge: list[list[int]] = [[] for _ in self._edges]
         for trim in self.trims:
             if trim.edge >= 0:
