@@ -300,11 +300,13 @@ REAL = [
     "step/bug25013_25013faces.stp",
     "step/trj4_k1_geo-tu-214.stp",
     "step/trj4_k1_top-id-214.stp",
+    "step/trj4_k1_geo-md-203.stp",
     "iges/PRO20360-T4.igs",
     "iges/OCC8842_cylinder_Ideas.igs",
     "iges/example_45_faces.iges",
 ]
-"""Ends that do not meet, lines a little off a parameter line, seams bent at a corner, full multiplicity at seams, holes."""
+"""Ends that do not meet, lines a little off a parameter line, seams bent at a corner, seams of two edges, full
+multiplicity at seams, holes."""
 
 
 @pytest.mark.corpus
