@@ -20,6 +20,7 @@ from ..errors import CadsculptError, InputError
 from ..units import conversion, unit_name
 from .iges_entities import creased_surfaces, damaged_entities
 from .iges_kernel import for_kernel, unit_of
+from .iges_names import name_of
 from .iges_part import IgesPart, Source
 from .iges_patches import patch_of
 from .iges_records import Entity, IgesFile, parse, text_of
@@ -95,7 +96,7 @@ def load(path: Path, *, units: str | None = None, probing: bool = False) -> Iges
             set_healing(reader, "iges", own=is_own(file))
             reader.Transfer(document)
             set_length_unit(document, METRES_PER_MM)
-            unknown = _look_up(reader, document, owners_of(file), names, places)
+            unknown = _look_up(reader, document, file, names, places)
             keep_file_trims(file, places)
         # a face of unknown origin may be any of those that are missing
         own = [] if unknown else _read_here(file, places, name, document, names)
@@ -249,7 +250,7 @@ def _losses(file: IgesFile, count: int) -> list[str]:
 def _look_up(
     reader: IGESCAFControl_Reader,
     document: TDocStd_Document,
-    owners: dict[int, list[int]],
+    file: IgesFile,
     names: FaceNames,
     places: dict[int, TopoDS_Face],
 ) -> int:
@@ -259,7 +260,7 @@ def _look_up(
     """
     session = reader.WS()
     model, transfer = session.Model(), session.TransferReader()
-    said = face_names(document)
+    said, owners = face_names(document), owners_of(file)
     unknown, renamed = 0, []
     for shape in free_shapes(document):
         for face in faces_in(shape):
@@ -271,7 +272,8 @@ def _look_up(
                 # of a bounded surface without bounds the kernel names the surface
                 pointer = next((p for p in owners.get(pointer, ()) if p not in places), pointer)
                 places.setdefault(pointer, face)
-                names.add(face, _name(entity))
+                record = file.at(pointer)
+                names.add(face, _name(entity, "" if record is None else name_of(file, record)))
             names.add(face, said.of(face))
             if names.of(face) != said.of(face):
                 renamed.append((names.of(face), face))
@@ -279,12 +281,12 @@ def _look_up(
     return unknown
 
 
-def _name(entity: IGESData_IGESEntity) -> str:
-    """An entity's name, from its property or its label; "" when it has neither."""
+def _name(entity: IGESData_IGESEntity, said: str) -> str:
+    """An entity's name, from its property, which may be known, or its label; "" when it has neither."""
     label = str(entity.ShortLabel().ToCString()).strip() if entity.HasShortLabel() else ""
     number = entity.SubScriptNumber() if entity.HasSubScriptNumber() else 0
     whole = f"{label}({number})" if number else label
-    said = str(entity.NameValue().ToCString()).strip() if entity.HasName() else ""
+    said = said or (str(entity.NameValue().ToCString()).strip() if entity.HasName() else "")
     # the kernel makes a name of the label, with a (0) behind it where the label has no number
     return whole if label and said in ("", f"{label}({number})") else said
 

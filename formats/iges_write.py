@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from OCP.IGESCAFControl import IGESCAFControl_Writer
 from OCP.IGESControl import IGESControl_Controller
-from OCP.IGESData import IGESData_IGESWriter
+from OCP.IGESData import IGESData_IGESEntity, IGESData_IGESWriter
 from OCP.Interface import Interface_Static
 from OCP.TopAbs import TopAbs_ShapeEnum
 from OCP.TopExp import TopExp_Explorer
@@ -17,9 +19,12 @@ from OCP.TopoDS import TopoDS_Shape
 from .._version import __version__
 from ..errors import InputError
 from .atomic import write_whole
+from .iges_names import name_faces, name_of
 from .iges_records import IgesFile, order_properties, parse, text_of
+from .occt.face import OcctFace
 from .occt.own_trims import bounded
 from .occt.part import OcctPart
+from .occt.period import begun
 from .occt.quiet import quiet
 from .step_text import REAL_FORMAT, SYSTEM, step_real
 
@@ -53,9 +58,11 @@ def text_of_part(part: OcctPart, name: str) -> str:
     writer = IGESCAFControl_Writer()
     for mode in ("Name", "Color", "Layer"):
         getattr(writer, f"Set{mode}Mode")(True)
-    take_back = bounded(face.shape for face in map(part.face, range(1, len(part.faces) + 1)))
+    faces = [part.face(face.number) for face in part.faces]
+    undo = [bounded(face.shape for face in faces), begun(faces)]
     done = writer.Transfer(part.document)
-    take_back()
+    for take_back in undo:
+        take_back()
     if not done:
         raise InputError("the CAD kernel cannot write the part as IGES", where=str(part.path))
     writer.ComputeModel()
@@ -67,7 +74,42 @@ def text_of_part(part: OcctPart, name: str) -> str:
     stream = io.BytesIO()
     if not sender.Print(stream):
         raise InputError("the CAD kernel cannot write the part as IGES", where=str(part.path))
-    return text_of(_settled(parse(stream.getvalue().decode("latin-1")), name))
+    file = parse(stream.getvalue().decode("latin-1"))
+    name_faces(file, _names(part, _places(writer, faces), file))
+    return text_of(_settled(file, name))
+
+
+def _places(writer: IGESCAFControl_Writer, faces: Sequence[OcctFace]) -> list[int]:
+    """The places in the directory of the entities that the kernel made of faces; 0 where it does not tell."""
+    process, model = writer.TransferProcess(), writer.Model()
+    found: dict[int, set[int]] = {}
+    for i in range(1, process.NbMapped() + 1):
+        finder = process.Mapped(i)
+        entity = process.FindTransient(finder)
+        if isinstance(entity, IGESData_IGESEntity) and finder.ValueTypeName() == "TopoDS_Face":
+            found.setdefault(finder.GetHashCode(), set()).add(model.DNum(entity))
+    # the kernel looks shapes up by the same hash, of which Python's hash() drops bits
+    made = [found.get(face.shape.__hash__(), set()) for face in faces]
+    return [next(iter(places)) if len(places) == 1 else 0 for places in made]
+
+
+def _names(part: OcctPart, places: Sequence[int], file: IgesFile) -> dict[int, str]:
+    """What each face's entity is to be called, by its place in the directory.
+
+    That is the face's own name. Where the kernel writes the faces in another order, or gives a face that has no name one of
+    something around it, it is the name that the part knows the face by.
+    """
+    ordered = all(0 < a < b for a, b in pairwise(places))
+    names = {}
+    for face, own, place in zip(part.faces, part.own_names, places, strict=True):
+        entity = file.at(place)
+        if entity is None:
+            continue
+        called = bool(name_of(file, entity) or entity.fields[17].strip())
+        name = own if ordered and (own or not called) else face.name
+        if name:
+            names[place] = name
+    return names
 
 
 def _settled(file: IgesFile, name: str) -> IgesFile:

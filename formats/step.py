@@ -33,6 +33,7 @@ from .occt.healing import set_healing
 from .occt.moments import moments_of
 from .occt.own_trims import bounded
 from .occt.part import OcctPart
+from .occt.period import begun
 from .occt.probe import ensure_survives
 from .occt.quiet import quiet
 from .step_entities import StepEntities
@@ -246,9 +247,11 @@ def text_of(part: OcctPart, name: str) -> bytes:
     for mode in ("Name", "Color", "Layer", "Material"):
         getattr(writer, f"Set{mode}Mode")(True)
     writer.SetPropsMode(not part.sculpted)  # areas and volumes of the sender are no longer true
-    take_back = bounded(face.shape for face in map(part.face, range(1, len(part.faces) + 1)))
+    faces = [part.face(face.number) for face in part.faces]
+    undo = [bounded(face.shape for face in faces), begun(faces)]
     done = writer.Transfer(part.document, STEPControl_StepModelType.STEPControl_AsIs)
-    take_back()
+    for take_back in undo:
+        take_back()
     if not done:
         raise InputError("the CAD kernel cannot write the part as STEP", where=str(part.path))
     model = writer.ChangeWriter().Model()

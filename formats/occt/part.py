@@ -110,6 +110,11 @@ class OcctPart(Part):
         return self.unit_factor != 1.0
 
     @property
+    def own_names(self) -> Sequence[str]:
+        """The names that the file gives the faces, in their order; "" where it gives none, and the same ones more than once."""
+        return self._own_names
+
+    @property
     def instances(self) -> Sequence[Instance]:
         if self._instances is None:
             from ..step_instances import instances_of

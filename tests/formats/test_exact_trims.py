@@ -20,6 +20,9 @@ from OCP.TCollection import TCollection_AsciiString
 
 from cadsculpt.formats import registry
 from cadsculpt.formats.occt.healing import set_healing
+from cadsculpt.formats.occt.own_trims import spline_of_face
+from cadsculpt.formats.occt.part import document_of_shapes
+from cadsculpt.formats.occt.shape import shape_of_surface
 from cadsculpt.formats.occt.trim import evaluate_trim, trim_domain
 from cadsculpt.formats.part import Part
 from cadsculpt.formats.patch_part import PatchPart
@@ -117,6 +120,17 @@ def tube(trims: tuple[TrimLoop, ...] | None, pole: bool = False, smooth: bool = 
     return BSplineSurface(net, knots_u, knots_v, 2, 3, weights, trims=trims, name="tube")
 
 
+def ring(trims: tuple[TrimLoop, ...] | None) -> BSplineSurface:
+    """Periodic in u, with a period of four and simple knots that are uneven, over [0, 4]."""
+    cycle = np.array([0.0, 0.9, 1.7, 2.5, 3.2])
+    knots = (cycle + 4.0 * np.arange(-1, 3)[:, None]).ravel()[5 - 3 : 5 + 5 + 4]
+    angle = np.linspace(0, 2 * np.pi, 5, endpoint=False)
+    wheel = np.column_stack([np.cos(angle), np.sin(angle) * 1.4])[np.arange(8) % 5]
+    radii, heights = np.array([7.3, 11.1, 9.7]), np.array([0.0, 13.3, 21.7])
+    net = np.concatenate([wheel[:, None] * radii[:, None], np.broadcast_to(heights[:, None], (8, 3, 1))], axis=2)
+    return BSplineSurface(net, knots, np.array([0.0, 0, 0, 1, 1, 1]), 3, 2, trims=trims, periodic_u=True, name="ring")
+
+
 def belt(bulge: float) -> TrimLoop:
     """All around the tube between two curves, with the seam on both sides."""
     corners = np.array([(0.0, 0.3), (4.0, 0.3), (4.0, 0.8), (0.0, 0.8)])
@@ -134,6 +148,11 @@ def through(part: Part, format: str, folder: Path) -> Part:
     part.write(twin, format)
     assert path.read_bytes() == twin.read_bytes()
     return registry.read(path)
+
+
+def step_text(part: Part, folder: Path) -> bytes:
+    part.write(folder / "as is.step", "step")
+    return (folder / "as is.step").read_bytes()
 
 
 def same_net(a: BSplineSurface, b: BSplineSurface, *, exact: bool = True) -> None:
@@ -209,6 +228,45 @@ def test_closed_surfaces_stay_clamped(name: str, format: str, tmp_path: Path) ->
     assert back.faces[0].area == pytest.approx(PatchPart(tmp_path, "json", "mm", [face]).faces[0].area, rel=1e-9)
 
 
+WINDOWS = {
+    "before the other knot": (0.1, 2.0),
+    "over the other knot": (1.8, 3.3),
+    "behind the other knot": (2.6, 3.4),
+    "all around but a little": (0.3, 4.1),
+}
+"""Where a window of a ring begins and ends; "the other knot", where the kernel's period may begin, is at 2.5."""
+
+
+@pytest.mark.parametrize("format", SUFFIX)
+@pytest.mark.parametrize("origin", [1, 4])
+@pytest.mark.parametrize("name", WINDOWS)
+def test_periodic_surfaces_begin_where_they_did(name: str, origin: int, format: str, tmp_path: Path) -> None:
+    """The kernel's own period begins at another knot than the face's, inside of the face or not."""
+    low, high = WINDOWS[name]
+    face = ring((polygon(["line"] * 4, np.array([(low, 0.2), (high, 0.3), (high, 0.8), (low, 0.7)]), 0.0, True),))
+    shape = shape_of_surface(face)
+    geom = spline_of_face(shape)
+    assert geom is not None
+    assert geom.IsUPeriodic()
+    geom.SetUOrigin(origin)
+    part = document_of_shapes([("ring", shape)])
+    first = part.faces[0].surface
+    before = step_text(part, tmp_path)
+    back = through(part, format, tmp_path)
+    found = back.faces[0].surface
+    assert back.validity().valid, back.validity().faults
+    assert found.periodic_u
+    assert found.shape == first.shape
+    np.testing.assert_allclose(found.knots_u, first.knots_u, rtol=0, atol=1e-15)  # one may have been inserted
+    np.testing.assert_allclose(found.control_points, first.control_points, rtol=0, atol=2e-15 * face.size)
+    same_trims(first, found)
+    u = np.linspace(*found.domain[0], 23)
+    turned = face.domain[0][0] + (u - face.domain[0][0]) % 4.0
+    apart = found.evaluate(u[:, None], np.array([0.1, 0.6])) - face.evaluate(turned[:, None], np.array([0.1, 0.6]))
+    assert np.abs(apart).max() <= 1e-12 * face.size
+    assert step_text(part, tmp_path) == before  # writing changes nothing of what is written
+
+
 @pytest.mark.parametrize("steps", [("step", "iges", "step"), ("iges", "step", "iges")])
 def test_nothing_drifts_from_format_to_format(steps: tuple[str, ...], tmp_path: Path) -> None:
     kinds = ["spline", "arc", "line", "spline"]
@@ -273,6 +331,7 @@ REAL = [
     ("iges/OCC8842_cylinder_Ideas.igs", "step"),
     ("step/trj4_k1_geo-ac-214.stp", "iges"),
     ("step/trj4_k1_geo-tu-214.stp", "iges"),
+    ("step/trj5_k1-sh-203.stp", "iges"),
     ("spline/egg.xml", "step"),
     ("spline/sphere.g2", "iges"),
 ]
@@ -287,3 +346,5 @@ def test_real_trims_come_back(name: str, format: str, corpus: Path, tmp_path: Pa
     for surface, face in zip(first, (face for face in back.faces if face.kind == "bspline"), strict=True):
         same_trims(surface, face.surface)
         assert face.surface.shape == surface.shape
+        np.testing.assert_allclose(face.surface.knots_u, surface.knots_u, rtol=SAME)
+        np.testing.assert_allclose(face.surface.knots_v, surface.knots_v, rtol=SAME)
