@@ -20,7 +20,7 @@ from ..errors import CadsculptError, InputError
 from ..units import conversion, unit_name
 from .iges_entities import creased_surfaces, damaged_entities
 from .iges_kernel import for_kernel, unit_of
-from .iges_names import name_of
+from .iges_names import label_of, name_of
 from .iges_part import IgesPart, Source
 from .iges_patches import patch_of
 from .iges_records import Entity, IgesFile, parse, text_of
@@ -273,7 +273,7 @@ def _look_up(
                 pointer = next((p for p in owners.get(pointer, ()) if p not in places), pointer)
                 places.setdefault(pointer, face)
                 record = file.at(pointer)
-                names.add(face, _name(entity, "" if record is None else name_of(file, record)))
+                names.add(face, _name(entity, file, record))
             names.add(face, said.of(face))
             if names.of(face) != said.of(face):
                 renamed.append((names.of(face), face))
@@ -281,12 +281,17 @@ def _look_up(
     return unknown
 
 
-def _name(entity: IGESData_IGESEntity, said: str) -> str:
-    """An entity's name, from its property, which may be known, or its label; "" when it has neither."""
-    label = str(entity.ShortLabel().ToCString()).strip() if entity.HasShortLabel() else ""
+def _name(entity: IGESData_IGESEntity, file: IgesFile, record: Entity | None) -> str:
+    """An entity's name, from its property or its label; "" when it has neither."""
+    label = "" if record is None else label_of(record)
     number = entity.SubScriptNumber() if entity.HasSubScriptNumber() else 0
     whole = f"{label}({number})" if number else label
-    said = said or (str(entity.NameValue().ToCString()).strip() if entity.HasName() else "")
+    said = "" if record is None else name_of(file, record)
+    if not said and entity.HasName():
+        try:
+            said = str(entity.NameValue().ToCString()).strip()
+        except UnicodeDecodeError:
+            said = ""
     # the kernel makes a name of the label, with a (0) behind it where the label has no number
     return whole if label and said in ("", f"{label}({number})") else said
 

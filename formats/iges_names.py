@@ -28,6 +28,11 @@ def name_of(file: IgesFile, entity: Entity) -> str:
     return ""
 
 
+def label_of(entity: Entity) -> str:
+    """The label of an entity, of up to eight letters."""
+    return _decoded(entity.fields[_LABEL]).strip()
+
+
 def name_faces(file: IgesFile, names: Mapping[int, str]) -> None:
     """Give bounded faces, by their places in the directory, names: in the property that they have, or in one behind all
     other entities."""
@@ -37,7 +42,7 @@ def name_faces(file: IgesFile, names: Mapping[int, str]) -> None:
             owners[pointer] = owners.get(pointer, 0) + 1
     for place, name in names.items():
         face = file.at(place)
-        if face is None or face.type not in _LOOPS or name_of(file, face) == name:
+        if face is None or face.type not in _LOOPS:
             continue
         face.fields[_LABEL] = name.encode("ascii", "replace").decode("ascii")[:8]
         text = re.sub(r"[\x00-\x1f\x7f]", " ", name).encode("utf-8").decode("latin-1")

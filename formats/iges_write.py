@@ -19,7 +19,7 @@ from OCP.TopoDS import TopoDS_Shape
 from .._version import __version__
 from ..errors import InputError
 from .atomic import write_whole
-from .iges_names import name_faces, name_of
+from .iges_names import label_of, name_faces, name_of
 from .iges_records import IgesFile, order_properties, parse, text_of
 from .occt.face import OcctFace
 from .occt.own_trims import bounded
@@ -105,7 +105,7 @@ def _names(part: OcctPart, places: Sequence[int], file: IgesFile) -> dict[int, s
         entity = file.at(place)
         if entity is None:
             continue
-        called = bool(name_of(file, entity) or entity.fields[17].strip())
+        called = bool(name_of(file, entity) or label_of(entity))
         name = own if ordered and (own or not called) else face.name
         if name:
             names[place] = name

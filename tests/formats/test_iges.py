@@ -16,7 +16,11 @@ from numpy.typing import NDArray
 
 pytest.importorskip("OCP")
 
+from OCP.BRep import BRep_Builder
 from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox, BRepPrimAPI_MakeCylinder
+from OCP.IFSelect import IFSelect_ReturnStatus
+from OCP.IGESCAFControl import IGESCAFControl_Reader
+from OCP.TopoDS import TopoDS_Compound, TopoDS_Shell
 
 from cadsculpt.errors import CadsculptError, InputError
 from cadsculpt.formats import iges
@@ -26,6 +30,7 @@ from cadsculpt.formats.iges_records import IgesFile, parse, text_of, tokens
 from cadsculpt.formats.iges_write import DATE
 from cadsculpt.formats.iges_write import write as write_by_kernel
 from cadsculpt.formats.occt.curve import sample_surface
+from cadsculpt.formats.occt.document import faces_in, free_shapes, new_document
 from cadsculpt.formats.occt.part import OcctPart, document_of_shapes
 from cadsculpt.formats.occt.shape import shape_of_surface
 from cadsculpt.formats.occt.tolerance import placed
@@ -394,3 +399,102 @@ def test_nets_are_the_files_own(name, corpus):
     assert own
     for face in part.faces:
         assert any(same_surface(face.surface, surface) for surface in own), face.name
+
+
+# ---------------------------------------------------------------------- names of faces
+
+
+NAMES = ["TOP", "a name of more than eight letters", "", "Fläche 4, links; rechts", "底面", "TOP"]
+"""Of the six faces of a box: one of none, two of one name, delimiters, and letters that the standard does not have."""
+
+
+def named_box(units: str = "mm") -> OcctPart:
+    box = BRepPrimAPI_MakeBox(3, 4, 5).Shape()
+    faces = list(zip(NAMES, faces_in(box), strict=True))
+    return document_of_shapes([("block", box)], units, faces=[(name, face) for name, face in faces if name])
+
+
+def by_place(part: OcctPart) -> list[tuple[list[float], str]]:
+    """Middle of every face, and its name."""
+    return [(np.mean(np.reshape(face.bbox, (2, 3)), axis=0).round(9).tolist(), face.name) for face in part.faces]
+
+
+def names_in_records(path: Path) -> list[str]:
+    """The names that bounded faces point to, read by the standard's own table (IGES 5.3, section 2.2.4.5.2)."""
+    file = parse(path.read_text("latin-1"))
+    found = []
+    for entity in file.entities:
+        if entity.type != 510:
+            continue
+        p = entity.parameters
+        rest = p[4 + int(p[2]) :]
+        assert rest[:2] == ["0", "1"] or not rest
+        owned = file.at(int(rest[2])) if rest else None
+        assert owned is None or (owned.type, owned.fields[14].strip(), owned.parameters[1]) == (406, "15", "1")
+        text = owned.parameters[2] if owned is not None else "0H"
+        count, _, letters = text.partition("H")
+        assert len(letters) == int(count)
+        found.append(letters)
+    return found
+
+
+@pytest.mark.parametrize("units", ["mm", "in"])
+def test_names_of_faces_in_solids_come_back(units: str, tmp_path: Path) -> None:
+    part = named_box(units)
+    part.write(tmp_path / "box.igs", "iges")
+    back = iges.read(tmp_path / "box.igs")
+    assert len(back.shapes) == 1
+    assert [shape.ShapeType() for shape in back.shapes] == [shape.ShapeType() for shape in part.shapes]
+    assert list(back.own_names) == list(part.own_names) == NAMES
+    assert by_place(back) == by_place(part)
+    letters = [name.encode().decode("latin-1") for name in NAMES]
+    assert sorted(names_in_records(tmp_path / "box.igs")) == sorted(letters)
+    back.write(tmp_path / "again.igs", "iges")
+    assert (tmp_path / "again.igs").read_bytes() == (tmp_path / "box.igs").read_bytes()
+
+
+def test_other_readers_see_the_names(tmp_path: Path) -> None:
+    """The kernel's own reader takes the file without a complaint, with the names on the faces' entities."""
+    named_box().write(tmp_path / "box.igs", "iges")
+    reader = IGESCAFControl_Reader()
+    reader.SetNameMode(True)
+    assert reader.ReadFile(str(tmp_path / "box.igs")) == IFSelect_ReturnStatus.IFSelect_RetDone
+    model = reader.WS().Model()
+    assert not any(model.IsErrorEntity(i) for i in range(1, model.NbEntities() + 1))
+    named = [model.Value(i) for i in range(1, model.NbEntities() + 1) if model.Value(i).TypeNumber() == 510]
+    assert [entity.NameValue().ToCString() for entity in named if entity.HasName()] == [name for name in NAMES if name]
+    document = new_document()
+    assert reader.Transfer(document)
+    (shape,) = free_shapes(document)
+    assert len(list(faces_in(shape))) == len(NAMES)
+
+
+def test_names_outlast_another_order(tmp_path: Path) -> None:
+    """A loose face before a solid: IGES has solids first, and a face without a name, or of a shared one, keeps its handle."""
+    box, sheet = BRepPrimAPI_MakeBox(3, 4, 5).Shape(), shape_of_surface(wave())
+    builder, both = BRep_Builder(), TopoDS_Compound()
+    builder.MakeCompound(both)
+    for shape in (sheet, box):
+        builder.Add(both, shape)
+    named = [(name, face) for name, face in zip(NAMES, faces_in(box), strict=True) if name]
+    part = document_of_shapes([("both", both)], faces=named)
+    assert part.faces[0].kind == "bspline"
+    part.write(tmp_path / "both.igs", "iges")
+    back = iges.read(tmp_path / "both.igs")
+    assert back.faces[0].kind != "bspline"
+    assert sorted(by_place(back)) == sorted(by_place(part))
+
+
+def test_a_face_without_a_name_does_not_take_that_of_its_shell(tmp_path: Path) -> None:
+    """The kernel writes a shell of one face as that face, and calls it by the shell's name."""
+    builder, shells = BRep_Builder(), []
+    for move in (0.0, 100.0):
+        net = wave().control_points + [0.0, move, 0.0]
+        shell = TopoDS_Shell()
+        builder.MakeShell(shell)
+        builder.Add(shell, shape_of_surface(wave().with_control_points(net)))
+        shells.append(shell)
+    part = document_of_shapes([("SHELL A", shells[0]), ("SHELL B", shells[1])])
+    assert [face.name for face in part.faces] == ["face1", "face2"]
+    part.write(tmp_path / "shells.igs", "iges")
+    assert [face.name for face in iges.read(tmp_path / "shells.igs").faces] == ["face1", "face2"]
