@@ -54,9 +54,9 @@ def name_faces(file: IgesFile, names: Mapping[int, str]) -> None:
         if known:
             known[0].parameters = said
             continue
-        pointer = 2 * len(file.entities) + 1
-        file.entities.append(Entity(pointer, _directory(), said))
-        properties = [*properties, str(pointer)]
+        behind = 2 * len(file.entities) + 1
+        file.entities.append(Entity(behind, _directory(), said))
+        properties = [*properties, str(behind)]
         face.parameters[base:] = [str(len(groups)), *groups, str(len(properties)), *properties]
 
 
