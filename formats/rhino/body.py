@@ -16,7 +16,7 @@ from ..part import FaceEdge
 from .archive import BUFFER_VERSION
 from .brep import BOUNDARY_ISO, OUTER_LOOP, SEAM, SINGULAR, Brep, Trim, read_brep
 from .geometry import SurfaceForm, curve_of, encoded, moved, part_of_curve, surface_form, surface_of, trim_curve
-from .joins import without_joins
+from .joins import parts_of, without_joins
 from .nurbs import Nurbs
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ class Body:
     def __post_init__(self) -> None:
         self._forms: dict[int, SurfaceForm] = {}
         self._surfaces: dict[int, BSplineSurface] = {}
-        self._trims: dict[int, TrimCurve] = {}
+        self._trims: dict[int, tuple[list[TrimCurve], int]] = {}
 
     # -------------------------------------------------------------- surfaces
 
@@ -124,7 +124,10 @@ class Body:
 
     def _loops(self, face: int) -> tuple[TrimLoop, ...]:
         loops = [self.brep.loops[i] for i in self.brep.faces[face].loops]
-        return tuple(TrimLoop(tuple(self.trim(t) for t in loop.trims), loop.kind == OUTER_LOOP) for loop in loops)
+        return tuple(
+            TrimLoop(tuple(c for t in loop.trims for c in self.trim_curves(t)[0]), loop.kind == OUTER_LOOP)
+            for loop in loops
+        )
 
     # ----------------------------------------------------------------- trims
 
@@ -133,14 +136,22 @@ class Body:
 
     def trim(self, index: int) -> TrimCurve:
         """A trim curve in the loop's direction, in the parameters of the face's surface."""
+        curves, own = self.trim_curves(index)
+        return curves[own]
+
+    def trim_curves(self, index: int) -> tuple[list[TrimCurve], int]:
+        """A trim curve among the poles that it absorbed (`joins`), in the loop's order, and its place there."""
         if index not in self._trims:
             record = self.brep.trims[index]
             chunk = self.brep.curves2[record.curve2] if 0 <= record.curve2 < len(self.brep.curves2) else None
             if chunk is None:
                 raise InputError("a trim without a curve", where=self.place.name, mend="repair it in Rhino")
-            own = part_of_curve(*without_joins(chunk, record.proxy, BUFFER_VERSION))
-            curve = trim_curve(own, self.form(self.face_of_trim(record)).parameters)
-            self._trims[index] = reversed_trim(curve) if record.backward else curve
+            parts, own = parts_of(chunk, record.proxy, BUFFER_VERSION)
+            parameters = self.form(self.face_of_trim(record)).parameters
+            curves = [trim_curve(part_of_curve(*part), parameters) for part in parts]
+            if record.backward:
+                curves, own = [reversed_trim(curve) for curve in reversed(curves)], len(curves) - 1 - own
+            self._trims[index] = curves, own
         return self._trims[index]
 
     def trims_of_face(self, face: int) -> list[Trim]:
@@ -181,11 +192,16 @@ class Body:
         surface = self.surface(face)
         edges = []
         for record in self.trims_of_face(face):
-            uv, points = sample_edge(surface, self.trim(record.index))
             seam, pole = record.kind == SEAM, record.kind == SINGULAR
             # an unset tolerance is a huge negative number
             tolerance = 0.0 if record.edge < 0 else max(self.brep.edges[record.edge].tolerance * self.place.scale, 0.0)
-            edges.append(FaceEdge(uv, points, self.neighbours(record), seam, pole, tolerance))
+            curves, own = self.trim_curves(record.index)
+            for place, curve in enumerate(curves):
+                uv, points = sample_edge(surface, curve)
+                if place == own:
+                    edges.append(FaceEdge(uv, points, self.neighbours(record), seam, pole, tolerance))
+                else:
+                    edges.append(FaceEdge(uv, points, (), False, True, 0.0))
         return edges
 
     def fault(self, face: int) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...spline.matrices import breakpoints
 from ...spline.surface import BSplineSurface
 from .geometry import curve_points
+from .joins import Piece
 from .nurbs import Nurbs
 
 Array = NDArray[np.float64]
@@ -25,14 +26,12 @@ ZERO = 2.0**-32
 """ON_ZERO_TOLERANCE"""
 
 
-def iso_of(curve: Nurbs, joins: tuple[Array | None, Array | None], surface: BSplineSurface) -> int:
-    """The ISO of a clamped 2D curve with what joins it to its neighbours (`DrawnTrim`)."""
+def iso_of(pieces: Sequence[Piece], surface: BSplineSurface) -> int:
+    """The ISO of a clamped 2D curve with the pieces before and after it (`joined_chunk`)."""
     domain = surface.domain
-    control = curve.control_points()
-    if any(join is not None and len(join) > 2 for join in joins):
+    if any(not isinstance(piece, Nurbs) and len(piece) > 2 for piece in pieces):
         return NOT_ISO
-    points = np.concatenate([control, *(join for join in joins if join is not None)])
-    before, after = (None if joins[0] is None else joins[0][0], None if joins[1] is None else joins[1][1])
+    points = np.concatenate([_net(piece) for piece in pieces])
     low, high = points.min(axis=0), points.max(axis=0)
     width, size = high - low, np.array([b - a for a, b in domain])
     if not (width <= size / 32.0).any():
@@ -47,7 +46,7 @@ def iso_of(curve: Nurbs, joins: tuple[Array | None, Array | None], surface: BSpl
     tolerance = float(width[axis])
     if tolerance < ZERO and width[1 - axis] >= ZERO * 1024.0:
         tolerance = ZERO
-    return found if _linear(curve, control, before, after, tolerance) else NOT_ISO
+    return found if _linear(pieces, tolerance) else NOT_ISO
 
 
 def _held(axis: int, low: float, high: float, knots: Array) -> int:
@@ -71,25 +70,25 @@ def _held(axis: int, low: float, high: float, knots: Array) -> int:
     return axis + 1 if within(0.5 * (low + high)) else NOT_ISO
 
 
-def _linear(curve: Nurbs, control: Array, before: Array | None, after: Array | None, tolerance: float) -> bool:
-    """openNURBS' IsLinear: of the control points, and with lines joined to the curve of places along the whole."""
-    if not _straight(control, tolerance):
+def _linear(pieces: Sequence[Piece], tolerance: float) -> bool:
+    """openNURBS' IsLinear: of the control points, and for more than one piece of places along the whole."""
+    curves = [piece for piece in pieces if isinstance(piece, Nurbs)]
+    if not all(_straight(curve.control_points(), tolerance) for curve in curves):
         return False
-    if before is None and after is None:
+    if len(pieces) == 1:
         return True
-    ends = control[[0, -1]]
-    steps = 2 * curve.degrees[0] + 1
-    knots = breakpoints(curve.padded_knots(0), curve.degrees[0])
-    pieces: list[Array] = []
-    if before is not None:
-        pieces.append(before + np.linspace(0.0, 1.0, steps + 1)[:-1, None] * (ends[0] - before))
+    steps = 2 * max(curve.degrees[0] for curve in curves) + 1
     share = np.arange(steps) / steps
-    t = np.concatenate([low + share * (high - low) for low, high in zip(knots[:-1], knots[1:], strict=True)])
-    pieces.append(curve_points(curve, t))
-    if after is not None:
-        pieces.append(ends[1] + np.linspace(0.0, 1.0, steps + 1)[:-1, None] * (after - ends[1]))
-    places = np.concatenate(pieces)[1:]
-    start, end = ends[0] if before is None else before, ends[1] if after is None else after
+    found: list[Array] = []
+    for piece in pieces:
+        if isinstance(piece, Nurbs):
+            knots = breakpoints(piece.padded_knots(0), piece.degrees[0])
+            t = np.concatenate([low + share * (high - low) for low, high in zip(knots[:-1], knots[1:], strict=True)])
+            found.append(curve_points(piece, t))
+        else:
+            found.append(piece[0] + share[:, None] * (piece[1] - piece[0]))
+    places = np.concatenate(found)[1:]
+    start, end = _net(pieces[0])[0], _net(pieces[-1])[-1]
     along = end - start
     if float(np.hypot(*along)) <= (tolerance or ZERO):
         return False
@@ -97,6 +96,11 @@ def _linear(curve: Nurbs, control: Array, before: Array | None, after: Array | N
     away = np.hypot(*(places - start - t[:, None] * along).T)
     rising = (np.diff(np.concatenate([[0.0], t])) >= 0.0).all()
     return bool(rising and t.max() <= 1.0 + 2.0**-26 and away.max() <= (tolerance or ZERO))
+
+
+def _net(piece: Piece) -> Array:
+    """(n, 2) control points."""
+    return piece.control_points() if isinstance(piece, Nurbs) else piece
 
 
 def _straight(control: Array, tolerance: float) -> bool:

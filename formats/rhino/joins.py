@@ -1,49 +1,60 @@
-"""Trim curves whose ends do not meet, kept whole in a Brep that openNURBS takes.
+"""Trim curves with more than themselves in a Brep that openNURBS takes: what joins them, and poles inside the domain.
 
 openNURBS wants the trim curves of a loop to meet within 1e-10; those of other CAD systems meet within a length in space.
 No end is moved. Such a curve becomes a piece of an ON_PolyCurve, and short curves lead from it to its neighbours, each
-over JOIN of its parameter range: by that width they are known when the file is read, and left out again. A polycurve of the
-curve alone says that a loop along the sides of the domain is a loop, and not the mere end of the surface.
+over JOIN of its parameter range: by that width they are known when the file is read, and left out again. A curve of no length
+in space that runs along no side of the domain is no trim of openNURBS: it becomes a piece of its neighbour's polycurve, over
+ABSORBED of its range and with the knots that it has, and is a trim curve of its own again when the file is read. A polycurve
+of the curve alone says that a loop along the sides of the domain is a loop, and not the mere end of the surface.
 Layout after the public openNURBS sources (opennurbs_polycurve.cpp).
 """
 
 from __future__ import annotations
 
 import uuid
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .archive import CLASS_DATA, Reader, Writer, class_chunk, class_record
-from .nurbs import EMPTY_BOX, NURBS_CURVE, Nurbs, nurbs_chunk
+from .nurbs import EMPTY_BOX, NURBS_CURVE, Nurbs, nurbs_chunk, read_nurbs
 
 Array = NDArray[np.float64]
+Piece = Nurbs | Array
+"""A clamped 2D curve that was absorbed, or the (m, 2) Bezier points of a curve that joins."""
+
+Part = tuple[bytes, tuple[float, float]]
+"""The chunk of a curve, and its domain."""
 
 POLYCURVE = uuid.UUID("4ED7D4E0-E947-11d3-BFE5-0010830122F0")
 
 JOIN = 2.0**-10
 """Parameter range of a curve that joins, as a fraction of that of the curve that it leads to."""
 
+ABSORBED = 2.0**-9
+"""Parameter range of an absorbed curve, as a fraction of that of the curve that absorbs it."""
+
 
 def joined_chunk(
-    curve: Nurbs, before: Array | None, after: Array | None, version: int, *, explicit: bool = False
-) -> tuple[bytes, tuple[float, float]]:
-    """The chunk of a clamped 2D curve and its domain, with the curves that join it to its neighbours.
+    curve: Nurbs, before: Sequence[Piece], after: Sequence[Piece], version: int, *, explicit: bool = False
+) -> Part:
+    """The chunk of a clamped 2D curve and its domain, with the pieces that come before and after it in its polycurve.
 
-    before, after : (m, 2) Bezier points from a neighbour's end to this curve's start, from its end to a neighbour's start;
-    None for no such curve. explicit : as a polycurve in any case.
+    Each piece starts where the one before it ends. explicit : as a polycurve in any case.
     """
     whole = nurbs_chunk(curve, version)
     low, high = float(curve.knots[0][0]), float(curve.knots[0][-1])
-    if before is None and after is None and not explicit:
+    if not before and not after and not explicit:
         return whole, (low, high)
     segments, breaks = [whole], [low, high]
-    start, end = _outer(low, high)
-    if before is not None:
-        segments.insert(0, _bezier_chunk(before, start, low, version))
+    for piece in reversed(before):
+        start = breaks[0] - _share(piece) * (high - low)
+        segments.insert(0, _piece_chunk(piece, start, breaks[0], version))
         breaks.insert(0, start)
-    if after is not None:
-        segments.append(_bezier_chunk(after, high, end, version))
+    for piece in after:
+        end = breaks[-1] + _share(piece) * (high - low)
+        segments.append(_piece_chunk(piece, breaks[-1], end, version))
         breaks.append(end)
     body = Writer(version)
     body.begin(CLASS_DATA)
@@ -58,37 +69,75 @@ def joined_chunk(
     return class_chunk(POLYCURVE, body), (breaks[0], breaks[-1])
 
 
-def without_joins(chunk: bytes, domain: tuple[float, float], version: int) -> tuple[bytes, tuple[float, float]]:
+def without_joins(chunk: bytes, domain: tuple[float, float], version: int) -> Part:
     """The curve of `joined_chunk` and its own domain, when `chunk` over `domain` is one; else both as they are."""
+    parts, own = parts_of(chunk, domain, version)
+    return parts[own]
+
+
+def parts_of(chunk: bytes, domain: tuple[float, float], version: int) -> tuple[list[Part], int]:
+    """The curve of `joined_chunk` among those that it absorbed, in their order, and its place there.
+
+    When `chunk` over `domain` is no such curve, it is the only one.
+    """
+    alone = [(chunk, domain)], 0
     record = class_record(chunk, 0, len(chunk), version)
     if record.class_id != POLYCURVE:
-        return chunk, domain
+        return alone
     reader = Reader(chunk, record.data.body, record.data.end - 4, version)
     reader.raw(1)
     (count, _, _) = reader.integers(3)
     reader.reals(6)
     breaks = reader.reals(reader.integer()).tolist()
     segments = [reader.chunk() for _ in range(count)]
-    if count not in (1, 2, 3) or len(breaks) != count + 1 or domain != (breaks[0], breaks[-1]):
-        return chunk, domain
+    if len(breaks) != count + 1 or domain != (breaks[0], breaks[-1]):
+        return alone
     if any(class_record(chunk, s.start, s.end, version).class_id != NURBS_CURVE for s in segments):
-        return chunk, domain
+        return alone
     for place in range(count):
-        low, high = breaks[place], breaks[place + 1]
-        start, end = _outer(low, high)
-        expected = [start] * place + [low, high] + [end] * (count - 1 - place)
-        if place < 2 and expected == breaks:
-            own = segments[place]
-            return chunk[own.start : own.end], (low, high)
-    return chunk, domain
+        shares = _shares(breaks, place)
+        if shares is None:
+            continue
+        parts, own = [], 0
+        for i, (segment, share) in enumerate(zip(segments, shares, strict=True)):
+            piece = chunk[segment.start : segment.end]
+            if i == place:
+                own = len(parts)
+                parts.append((piece, (breaks[i], breaks[i + 1])))
+            elif share == ABSORBED:
+                parts.append((piece, _domain(piece, version)))
+        return parts, own
+    return alone
 
 
-def _outer(low: float, high: float) -> tuple[float, float]:
-    """Where the curves before and after one over [low, high] start and end."""
-    width = JOIN * (high - low)
-    return low - width, high + width
+def _shares(breaks: Sequence[float], place: int) -> list[float] | None:
+    """What share of the segment at `place` each segment has, when all others are JOIN or ABSORBED of it; else None."""
+    width = breaks[place + 1] - breaks[place]
+    found = []
+    for i, (start, end) in enumerate(zip(breaks[:-1], breaks[1:], strict=True)):
+        for share in (1.0,) if i == place else (JOIN, ABSORBED):
+            if i == place or (end - share * width == start if i < place else start + share * width == end):
+                found.append(share)
+                break
+        else:
+            return None
+    return found
 
 
-def _bezier_chunk(points: Array, low: float, high: float, version: int) -> bytes:
-    degree = len(points) - 1
-    return nurbs_chunk(Nurbs(2, False, (degree,), (np.repeat([low, high], degree),), points), version)
+def _domain(chunk: bytes, version: int) -> tuple[float, float]:
+    """The domain of a clamped ON_NurbsCurve."""
+    record = class_record(chunk, 0, len(chunk), version)
+    (knots,) = read_nurbs(Reader(chunk, record.data.body, record.data.end - 4, version), 1).knots
+    return float(knots[0]), float(knots[-1])
+
+
+def _share(piece: Piece) -> float:
+    return ABSORBED if isinstance(piece, Nurbs) else JOIN
+
+
+def _piece_chunk(piece: Piece, low: float, high: float, version: int) -> bytes:
+    """An absorbed curve over the knots that it has, a joining one over [low, high]."""
+    if isinstance(piece, Nurbs):
+        return nurbs_chunk(piece, version)
+    degree = len(piece) - 1
+    return nurbs_chunk(Nurbs(2, False, (degree,), (np.repeat([low, high], degree),), piece), version)

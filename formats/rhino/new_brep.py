@@ -62,10 +62,10 @@ class BrepBuilder:
         for k, items in sorted(enumerate(loops), key=lambda pair: pair[0] != outer):
             loop = len(self.loops)
             drawn = drawn_loop(items, surface, only=len(loops) == 1, exact=exact)
-            twins = twin_sides(items, drawn, surface)
+            twins = twin_sides(drawn, surface)
             trims = tuple(
-                self._trim(item, form, surface, loop, items[twins[n]] if n in twins else None, n in twins.values())
-                for n, (item, form) in enumerate(zip(items, drawn, strict=True))
+                self._trim(form, surface, loop, drawn[twins[n]].item if n in twins else None, n in twins.values())
+                for n, form in enumerate(drawn)
             )
             self.loops.append(Loop(loop, trims, OUTER_LOOP if k == outer else INNER_LOOP, face))
             made.append(loop)
@@ -73,7 +73,6 @@ class BrepBuilder:
 
     def _trim(
         self,
-        item: BoundaryEdge,
         drawn: DrawnTrim,
         surface: BSplineSurface,
         loop: int,
@@ -81,7 +80,7 @@ class BrepBuilder:
         has_twin: bool,
     ) -> int:
         """Add a trim. twin : the one on the other side of the seam, whose edge it takes; has_twin : it is such a one."""
-        index = len(self.trims)
+        index, item = len(self.trims), drawn.item
         chunk, domain = joined_chunk(drawn.curve, drawn.before, drawn.after, BUFFER_VERSION, explicit=drawn.explicit)
         self.curves2.append(chunk)
         if drawn.moved:
@@ -100,6 +99,9 @@ class BrepBuilder:
             uv = drawn.ends
             self._reach(edge, surface.evaluate(uv[:, 0], uv[:, 1]), backward)
             kind = SEAM if item.seam or twin is not None or has_twin else BOUNDARY
+        for pole in drawn.absorbed:
+            first, last = TopExp.FirstVertex_s(pole.edge), TopExp.LastVertex_s(pole.edge)
+            self._same.append((self._vertex(first), self._vertex(last)))
         rest = np.array(domain).tobytes() + bytes(48)
         turned = int(backward and not item.degenerate)
         self.trims.append(Trim(index, index, domain, edge, ends, turned, kind, drawn.iso, loop, (0.0, 0.0), rest))

@@ -14,7 +14,8 @@ from ..occt.boundary import ON_BORDER, BoundaryEdge
 from ..occt.trim import evaluate_trim, reversed_trim, trim_domain
 from .brep import BOUNDARY_ISO
 from .geometry import clamped, nurbs_of_trim
-from .iso import iso_of
+from .iso import NOT_ISO, iso_of
+from .joins import Piece
 from .nurbs import Nurbs
 
 Array = NDArray[np.float64]
@@ -70,18 +71,20 @@ BACK = 1.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnTrim:
-    """A trim curve as the archive gets it. ends (2, 2): where it starts and ends, joins and all.
+    """A trim curve as the archive gets it. ends (2, 2): where it starts and ends, pieces and all.
 
-    before, after : (m, 2) Bezier points of what joins it to its neighbours (`joined_chunk`), or None; iso : its
-    ON_Surface::ISO;
+    item : the edge that it lies on; absorbed : the poles among its pieces;
+    before, after : the pieces around it (`joined_chunk`); iso : its ON_Surface::ISO;
     explicit : marked as one of a loop along the sides of the domain; moved : how far it is from the curve that was given, as a
     fraction of the range.
     """
 
+    item: BoundaryEdge
+    absorbed: tuple[BoundaryEdge, ...]
     curve: Nurbs
     ends: Array
-    before: Array | None
-    after: Array | None
+    before: tuple[Piece, ...]
+    after: tuple[Piece, ...]
     iso: int
     explicit: bool
     moved: float
@@ -94,8 +97,9 @@ def drawn_loop(
 
     A surface without trims is its whole domain: its loop is made of the domain's sides. Every other curve stays as it is,
     joined by short curves to those that it does not meet, but for seams and poles a little off their side of the domain, where
-    openNURBS wants them. exact=False : ends are moved together, and curves along parameter lines made straight.
-    Raises InputError when ends lie further apart than MEETING of the range.
+    openNURBS wants them. A pole along no side goes into a neighbour's polycurve. exact=False : ends are moved together, and
+    curves along parameter lines made straight.
+    Raises InputError when ends lie further apart than MEETING of the range, or there are but poles.
     """
     given = [item.curve for item in items]
     size = np.array([high - low for low, high in surface.domain])
@@ -103,13 +107,19 @@ def drawn_loop(
     whole = surface.trims is None
     curves = _sides(given, surface) if whole or not exact else given
     nets = [clamped(nurbs_of_trim(curve)) for curve in curves]
-    iso = [iso_of(net, (None, None), surface) for net in nets]
+    iso = [iso_of([net], surface) for net in nets]
     kept = [item.seam or item.degenerate for item in items]
     for k in range(len(items)):
         if kept[k] and iso[k] not in BOUNDARY_ISO:
-            curves = [*curves[:k], _straight(curves[k], surface), *curves[k + 1 :]]
-            nets[k] = clamped(nurbs_of_trim(curves[k]))
-            iso[k] = iso_of(nets[k], (None, None), surface)
+            line = _straight(curves[k], surface)
+            net = clamped(nurbs_of_trim(line))
+            side = iso_of([net], surface)
+            if side in BOUNDARY_ISO:
+                curves = [*curves[:k], line, *curves[k + 1 :]]
+                nets[k], iso[k] = net, side
+    inside = [item.degenerate and side not in BOUNDARY_ISO for item, side in zip(items, iso, strict=True)]
+    kept = [keep and not pole for keep, pole in zip(kept, inside, strict=True)]
+    iso = [NOT_ISO if pole else side for side, pole in zip(iso, inside, strict=True)]
     ends = np.array([evaluate_trim(curve, np.array(trim_domain(curve))) for curve in curves])  # (n, 2 ends, 2)
     before: list[Array | None] = [None] * len(curves)
     after: list[Array | None] = [None] * len(curves)
@@ -124,26 +134,67 @@ def drawn_loop(
             before[k] = _join(nets[k], arriving, leaving, at_start=True, straight=straight)
         else:
             after[k - 1] = _join(nets[k - 1], arriving, leaving, at_start=False, straight=straight)
-    joins = list(zip(before, after, strict=True))
-    iso = [iso_of(net, join, surface) for net, join in zip(nets, joins, strict=True)]
-    explicit = only and not whole and all(side in BOUNDARY_ISO for side in iso)
-    return [
-        DrawnTrim(
-            nets[k],
-            np.array([ends[k, 0] if first is None else first[0], ends[k, 1] if last is None else last[-1]]),
-            first,
-            last,
-            iso[k],
-            explicit and k == 0,
-            0.0
-            if whole or curves[k] is given[k]
-            else float((np.abs(_shares(curves[k]) - _shares(given[k])) / size).max()),
-        )
-        for k, (first, last) in enumerate(joins)
+    strings: list[list[Piece]] = [
+        [piece for piece in (before[k], nets[k], after[k]) if piece is not None] for k in range(len(nets))
     ]
 
+    def moved(k: int) -> float:
+        if whole or curves[k] is given[k]:
+            return 0.0
+        return float((np.abs(_shares(curves[k]) - _shares(given[k])) / size).max())
 
-def twin_sides(items: Sequence[BoundaryEdge], drawn: Sequence[DrawnTrim], surface: BSplineSurface) -> dict[int, int]:
+    found = []
+    for k, (earlier, later) in _absorbing(inside, kept, iso).items():
+        first = [piece for i in earlier for piece in strings[i]] + ([] if before[k] is None else [before[k]])
+        last = ([] if after[k] is None else [after[k]]) + [piece for i in later for piece in strings[i]]
+        pieces = [*first, nets[k], *last]
+        found.append(
+            DrawnTrim(
+                items[k],
+                tuple(items[i] for i in (*earlier, *later)),
+                nets[k],
+                np.array([_end(pieces[0], 0), _end(pieces[-1], -1)]),
+                tuple(first),
+                tuple(last),
+                iso_of(pieces, surface),
+                False,
+                max(moved(i) for i in (*earlier, k, *later)),
+            )
+        )
+    if only and not whole and all(form.iso in BOUNDARY_ISO for form in found):
+        found[0] = replace(found[0], explicit=True)
+    return found
+
+
+def _absorbing(
+    inside: Sequence[bool], kept: Sequence[bool], iso: Sequence[int]
+) -> dict[int, tuple[list[int], list[int]]]:
+    """The curves of a loop that are no poles inside the domain -> those poles that they absorb before and after them.
+
+    Of a pole's two neighbours a seam or another pole, which must stay on its side, is the last choice, and a curve along a side
+    the second; with nothing to choose by, the loop starts with the curve that it started with.
+    """
+    count = len(inside)
+    hosts = [k for k in range(count) if not inside[k]]
+    if not hosts:
+        raise InputError("a trim loop of poles alone")
+    found: dict[int, tuple[list[int], list[int]]] = {k: ([], []) for k in hosts}
+    for place, host in enumerate(hosts):
+        following = hosts[(place + 1) % len(hosts)]
+        cost = [(kept[k], iso[k] in BOUNDARY_ISO) for k in (host, following)]
+        for step in range(1, (following - host - 1) % count + 1):
+            k = (host + step) % count
+            back = cost[0] < cost[1] or (cost[0] == cost[1] and k > host)
+            found[host if back else following][1 if back else 0].append(k)
+    return found
+
+
+def _end(piece: Piece, place: int) -> Array:
+    """The first (0) or the last (-1) point of a piece."""
+    return piece.control_points()[place] if isinstance(piece, Nurbs) else piece[place]
+
+
+def twin_sides(drawn: Sequence[DrawnTrim], surface: BSplineSurface) -> dict[int, int]:
     """Trims along one side of a closed surface that lie on edges of their own -> those that they meet across the seam.
 
     openNURBS wants both on one edge.
@@ -152,7 +203,7 @@ def twin_sides(items: Sequence[BoundaryEdge], drawn: Sequence[DrawnTrim], surfac
     size = np.array([high - low for low, high in surface.domain])
     for axis, closed in enumerate((surface.closed_u, surface.closed_v)):
         sides = [
-            [k for k, form in enumerate(drawn) if form.iso == side and not (items[k].seam or items[k].degenerate)]
+            [k for k, form in enumerate(drawn) if form.iso == side and not (form.item.seam or form.item.degenerate)]
             for side in (BOUNDARY_ISO[axis], BOUNDARY_ISO[axis + 2])
         ]
         for k in sides[1] if closed else ():
@@ -179,6 +230,8 @@ def _join(net: Nurbs, start: Array, end: Array, *, at_start: bool, straight: boo
         side = points if at_start else points[::-1]
         step = next((p - side[0] for p in side[1:] if (p != side[0]).any()), along)
         along = step if at_start else -step
+    if not along.any():
+        return np.array([start, end])
     back = BACK * np.hypot(*(end - start)) * along / np.hypot(*along)
     return np.array([start, start + back if at_start else end - back, end])
 

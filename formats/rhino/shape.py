@@ -69,6 +69,15 @@ def shape_of_body(body: Body, followed: Followed) -> BodyShape:
         other = _paced(body.trim_toward_edge(twin.index), domain)
         return WireEdge(made, *((other, True, own) if record.reversed else (own, False, other)))
 
+    def pieces(record: Trim) -> list[WireEdge]:
+        """The edge of a trim among the poles that it absorbed."""
+        curves, own = body.trim_curves(record.index)
+        found = []
+        for place, curve in enumerate(curves):
+            corners = (corner(record.vertices[int(place > own)]) for _ in range(2))
+            found.append(piece(record) if place == own else WireEdge(edge(None, *trim_domain(curve), *corners), curve))
+        return found
+
     faces: dict[int, TopoDS_Face] = {}
     lost: dict[int, str] = {}
     builder, shell = BRep_Builder(), TopoDS_Shell()
@@ -76,7 +85,7 @@ def shape_of_body(body: Body, followed: Followed) -> BodyShape:
     for index, face in enumerate(brep.faces):
         try:
             surface = body.surface(index)
-            wires = [[piece(brep.trims[t]) for t in brep.loops[i].trims] for i in face.loops]
+            wires = [[item for t in brep.loops[i].trims for item in pieces(brep.trims[t])] for i in face.loops]
             faces[index] = face_with_wires(surface, wires)
         except CadsculptError as error:
             lost[index] = error.what

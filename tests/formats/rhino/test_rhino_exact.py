@@ -18,7 +18,7 @@ from cadsculpt.formats.part import Part
 from cadsculpt.formats.patch_part import PatchPart
 from cadsculpt.formats.rhino import part as rhino
 from cadsculpt.formats.rhino.archive import BUFFER_VERSION, object_records
-from cadsculpt.formats.rhino.joins import joined_chunk, without_joins
+from cadsculpt.formats.rhino.joins import joined_chunk, parts_of, without_joins
 from cadsculpt.formats.rhino.nurbs import Nurbs
 from cadsculpt.spline.surface import BSplineSurface, TrimCurve, TrimLoop
 
@@ -184,8 +184,8 @@ def test_only_our_own_lines_are_left_out() -> None:
     """A polycurve of another program stays whole, whatever its pieces."""
     curve = Nurbs(2, False, (1,), (np.array([2.0, 5.0]),), np.array([(0.0, 0.0), (1.0, 1.0)]))
     before, after = np.array([(-0.1, 0.0), (0.0, 0.0)]), np.array([(1.0, 1.0), (1.1, 1.1), (1.0, 1.2)])
-    chunk, domain = joined_chunk(curve, before, after, BUFFER_VERSION)
-    plain, own = joined_chunk(curve, None, None, BUFFER_VERSION)
+    chunk, domain = joined_chunk(curve, [before], [after], BUFFER_VERSION)
+    plain, own = joined_chunk(curve, [], [], BUFFER_VERSION)
     assert without_joins(chunk, domain, BUFFER_VERSION) == (plain, own)
     assert own == (2.0, 5.0)
     part_of_it = (2.5, domain[1])
@@ -194,6 +194,111 @@ def test_only_our_own_lines_are_left_out() -> None:
     other = chunk[:at] + np.float64(domain[0] - 0.5).tobytes() + chunk[at + 8 :]
     there = (domain[0] - 0.5, domain[1])
     assert without_joins(other, there, BUFFER_VERSION) == (other, there)
+
+
+# ------------------------------------------------------------------------ poles
+
+
+def with_poles(places: Array, poles: dict[int, TrimCurve], miss: float = 0.0) -> Part:
+    """A flat sheet over [-9, 9] x [-9, 9], u = x and v = y, bounded by a polygon whose sides named in `poles` are those curves,
+    each a degenerate edge of the kernel. miss : how far the other sides end from where the next one starts.
+    """
+    from cadsculpt.formats.occt.part import document_of_shapes
+    from cadsculpt.formats.occt.shape import WireEdge, edge, face_with_wires, spline_curve, vertex
+
+    u, v = np.meshgrid([-9.0, 9.0], [-9.0, 9.0], indexing="ij")
+    flat = BSplineSurface(np.stack([u, v, 0 * u], axis=2), LINE * 18 - 9, LINE * 18 - 9, 1, 1, name="sheet")
+    count = len(places)
+    at = list(range(count))
+    for k in sorted(poles):
+        at = [at[k] if j == at[(k + 1) % count] else j for j in at]
+    corners = {j: vertex(np.array([*places[j], 0.0]), 2e-2) for j in at}
+    wire = []
+    for k in range(count):
+        start, end = corners[at[k]], corners[at[(k + 1) % count]]
+        if k in poles:
+            curve = poles[k]
+            wire.append(WireEdge(edge(None, curve.knots[0], curve.knots[-1], start, end, 2e-2), curve))
+            continue
+        ends = places[[k, (k + 1) % count]]
+        made = spline_curve(np.concatenate([ends, np.zeros((2, 1))], axis=1), LINE, 1)
+        line = ends + [[0.0, 0.0], [miss, -miss]]
+        wire.append(WireEdge(edge(made, 0.0, 1.0, start, end, 2e-2), TrimCurve(line, LINE, 1)))
+    return document_of_shapes([("sheet", face_with_wires(flat, [wire]))])
+
+
+def bent(places: Array, k: int, size: float) -> TrimCurve:
+    """A curve of degree 2 with knots of its own between two places."""
+    a, b = places[k], places[(k + 1) % len(places)]
+    return TrimCurve(np.array([a, (a + b) / 2 + size, b]), np.array([2.0, 2, 2, 2.5, 2.5, 2.5]), 2)
+
+
+def line(places: Array, k: int) -> TrimCurve:
+    return TrimCurve(places[[k, (k + 1) % len(places)]], LINE * 0.0031, 1)
+
+
+CORNER = np.array([(-5.0, -4.0), (5.0, -4.0), (5.003, -3.998), (4.0, 6.0)])
+ALONG = np.array([(-5.0, -4.0), (5.0, -4.0), (5.003, -4.0), (4.0, 6.0)])
+TWO = np.array([(-5.0, -4.0), (5.0, -4.0), (5.003, -3.998), (5.004, -3.99), (4.0, 6.0)])
+BESIDE_SIDES = np.array([(-9.0, 9.0), (-9.0, -8.997), (-8.997, -9.0), (9.0, -9.0), (9.0, 9.0)])
+
+
+@pytest.mark.parametrize("start", range(4))
+@pytest.mark.parametrize("miss", [0.0, 1e-6])
+@pytest.mark.parametrize(
+    ("places", "poles"),
+    [
+        pytest.param(CORNER, {1: line(CORNER, 1)}, id="corner"),
+        pytest.param(CORNER, {1: bent(CORNER, 1, 1e-3)}, id="bent"),
+        pytest.param(ALONG, {1: line(ALONG, 1)}, id="along a parameter line"),
+        pytest.param(TWO, {1: line(TWO, 1), 2: bent(TWO, 2, 1e-3)}, id="two"),
+        pytest.param(BESIDE_SIDES, {1: line(BESIDE_SIDES, 1)}, id="beside two sides"),
+    ],
+)
+def test_poles_along_no_side_come_back(
+    places: Array, poles: dict[int, TrimCurve], miss: float, start: int, tmp_path: Path
+) -> None:
+    """openNURBS has poles only along the sides of the domain; others are kept in their neighbours, wherever the loop starts."""
+    count = len(places)
+    turned = {(k - start) % count: curve for k, curve in poles.items()}
+    part = with_poles(np.roll(places, -start, axis=0), turned, miss)
+    loop = part.faces[0].surface.trims
+    assert loop is not None
+    assert len(loop[0].curves) == count
+    assert sum(edge.degenerate for edge in part.face(1).boundary.loops[0]) == len(poles)
+    back = through(part, tmp_path)
+    assert not any("3DM" in warning for warning in part.warnings)
+    same_trims(part.faces[0].surface, back.faces[0].surface)
+    assert back.faces[0].area == pytest.approx(part.faces[0].area, rel=1e-12)
+    assert [edge.degenerate for edge in back.faces[0].edges] == [edge.degenerate for edge in part.faces[0].edges]
+    assert back.validity().faults == part.validity().faults == ()
+
+
+def test_a_pole_that_is_a_point_of_the_domain_comes_back(tmp_path: Path) -> None:
+    """It has no direction that a curve from its end to the next one's start could take."""
+    places = np.array([(5.0, -4.0), (4.0, 6.0), (-5.0, -4.0), (5.0, -4.0)])
+    part = with_poles(places, {3: line(places, 3)}, 1e-6)
+    back = through(part, tmp_path)
+    assert not any("3DM" in warning for warning in part.warnings)
+    same_trims(part.faces[0].surface, back.faces[0].surface)
+
+
+def test_absorbed_curves_are_known_by_their_width() -> None:
+    curve = Nurbs(2, False, (1,), (np.array([2.0, 5.0]),), np.array([(0.0, 0.0), (1.0, 1.0)]))
+    knots = np.array([0.0, 0.0, 7.0, 7.0])
+    pole = Nurbs(2, False, (2,), (knots,), np.array([(1.0, 1.0), (1.1, 1.1), (1.0, 1.2)]))
+    join = np.array([(-0.1, 0.0), (0.0, 0.0)])
+    plain, own = joined_chunk(curve, [], [], BUFFER_VERSION)
+    alone, there = joined_chunk(pole, [], [], BUFFER_VERSION)
+    for before, after in (([pole], []), ([pole, join], []), ([pole, pole], [pole]), ([join], [join, pole, join, pole])):
+        chunk, domain = joined_chunk(curve, before, after, BUFFER_VERSION)
+        poles = [sum(isinstance(piece, Nurbs) for piece in pieces) for pieces in (before, after)]
+        expected = [(alone, there)] * poles[0] + [(plain, own)] + [(alone, there)] * poles[1]
+        assert parts_of(chunk, domain, BUFFER_VERSION) == (expected, poles[0])
+        at = chunk.index(np.float64(domain[0]).tobytes())
+        other = chunk[:at] + np.float64(domain[0] - 0.5).tobytes() + chunk[at + 8 :]
+        moved = (domain[0] - 0.5, domain[1])
+        assert parts_of(other, moved, BUFFER_VERSION) == ([(other, moved)], 0)
 
 
 # ------------------------------------------------------------------------ seams
@@ -304,9 +409,10 @@ REAL = [
     "iges/PRO20360-T4.igs",
     "iges/OCC8842_cylinder_Ideas.igs",
     "iges/example_45_faces.iges",
+    "iges/impeller.igs",
 ]
 """Ends that do not meet, lines a little off a parameter line, seams bent at a corner, seams of two edges, full
-multiplicity at seams, holes."""
+multiplicity at seams, holes, poles inside the domain."""
 
 
 @pytest.mark.corpus
