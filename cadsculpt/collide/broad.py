@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GeometryError
-from ..jit import njit, njit_inline
+from ..jit import njit, njit_in_place, njit_inline
 from .workspace import grown
 
 Array = NDArray[np.float64]
@@ -108,7 +108,7 @@ def near_box(boxes: Array, low: Array, high: Array, margin: float, diagonals: fl
     return out[: fill_near(boxes, low, high, margin, diagonals, out)].copy()
 
 
-@njit
+@njit_in_place
 def fill_near(boxes: Array, low: Array, high: Array, margin: float, diagonals: float, out: Index) -> int:
     """The boxes of `near_box` into out; how many they are."""
     count = 0
@@ -179,7 +179,7 @@ def boxes_of(numbers: Array, starts: Index) -> Array:
     return out
 
 
-@njit
+@njit_in_place
 def fill_boxes_of(numbers: Array, starts: Index, which: Index, count: int, out: Array) -> int:
     """The boxes of `boxes_of` into the rows which[:count] of out; the first row that is not finite, or -1."""
     wrong = -1

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit, njit_in_place
 from .grid import PatchGrid
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V, inside, newton
 from .spheres import fill_spheres
@@ -93,7 +93,7 @@ def project(
     project_in(g, new_search(g), points, group, len(group) - 1, tie, beyond, patch, best, state, owner)
 
 
-@njit
+@njit_in_place
 def project_in(
     g: Patch, search: Search, points: Array, group: Index, groups: int, tie: float, beyond: float, patch: int, best: Array,
     state: Index, owner: Index,
@@ -258,7 +258,7 @@ def project_in(
                 merge(mine, best_kind, patch, tie, i, best, state, owner)
 
 
-@njit
+@njit_in_place
 def along(h: Array, x: float, y: float, z: float) -> tuple[float, float]:
     """(du, dv) of the step along the tangents h[1], h[2] that comes nearest to (x, y, z); nothing where they are
     dependent."""
@@ -272,14 +272,14 @@ def along(h: Array, x: float, y: float, z: float) -> tuple[float, float]:
     return (vv * a - uv * b) / det, (uu * b - uv * a) / det
 
 
-@njit
+@njit_in_place
 def gap(rows: Array, k: int, c: Array) -> float:
     """Distance of rows[k, 0:3] from c."""
     x, y, z = rows[k, 0] - c[0], rows[k, 1] - c[1], rows[k, 2] - c[2]
     return float(np.sqrt(x * x + y * y + z * z))
 
 
-@njit
+@njit_in_place
 def box_gap(box: Array, k: int, c: Array) -> float:
     """Distance of c from the box k of (n, 6)."""
     d = 0.0
@@ -289,7 +289,7 @@ def box_gap(box: Array, k: int, c: Array) -> float:
     return float(np.sqrt(d))
 
 
-@njit
+@njit_in_place
 def merge(found: Array, kind: int, patch: int, tie: float, i: int, best: Array, state: Index, owner: Index) -> None:
     """Take a result into row i where it is nearer, or join it to one on the common edge with another patch."""
     if state[i] != NOTHING and owner[i] != patch and abs(found[DISTANCE] - best[i, DISTANCE]) <= tie:

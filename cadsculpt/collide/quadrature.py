@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit, njit_inline
+from ..jit import njit, njit_in_place, njit_inline
 from ..spline.bounds import S_UU, S_UV, S_VV, span_bounds
 from ..spline.region import OFF, Region
 from .cells import cells_of
@@ -93,7 +93,7 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
     return uv, out, area
 
 
-@njit
+@njit_in_place
 def vertex_areas(g: Patch, names: Index, count: int, area: Array) -> None:
     """The areas that the vertices names[:count] stand for; those of the cells around are each made once per net."""
     tick, m, n = g.tick, len(g.u), len(g.v)
@@ -194,7 +194,7 @@ def unresolved(g: Patch, cells: Index, margin: float, names: Index, depths: Arra
     return maybe[:left, :2].copy()
 
 
-@njit
+@njit_in_place
 def unresolved_cells(
     g: Patch,
     cells: Index,

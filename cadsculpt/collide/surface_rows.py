@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit, njit_inline
+from ..jit import njit_in_place, njit_inline
 from .closest import project_in
 from .contacts import Columns
 from .hull import near
@@ -32,7 +32,7 @@ FINE = 0.5
 """A cell of the tool whose sphere is smaller than this share of a small cell's tells well enough that it is near."""
 
 
-@njit
+@njit_in_place
 def near_cells(g: Patch, h: Patch, its: Array, reach: float, mark: int, room: Room, search: Search) -> int:
     """The small cells of g whose spheres come within `reach` of spheres of h, into room.cells; how many they are.
 
@@ -159,7 +159,7 @@ def near_pair(a: Array, k: int, b: Array, l: int, pad: float) -> bool:
     )  # fmt: skip
 
 
-@njit
+@njit_in_place
 def surface_rows(
     g: Patch, h: Patch, its: Array, seed: int, reach: float, felt: float, margin: float, tie: float, at: Array, turn: Array,
     mark: int, mark_again: int, mark_last: int, room: Room, waves: Waves, search: Search, rows: Columns, row: int,
@@ -287,7 +287,7 @@ def surface_rows(
     return tail, cells, left
 
 
-@njit
+@njit_in_place
 def list_vertices(
     g: Patch, cells: Index, count: int, mark: int, names: Index, place: Index, group: Index
 ) -> tuple[int, int]:
@@ -316,7 +316,7 @@ def list_vertices(
     return found, groups
 
 
-@njit
+@njit_in_place
 def look(
     g: Patch, h: Patch, search: Search, names: Index, start: int, stop: int, group: Index, groups: int, margin: float,
     tie: float, points: Array, waves: Waves, depth: Array,
