@@ -47,8 +47,8 @@ class Lattice:
     (none). active (N,) : nodes of at least one cell. inverse_mass (N,) : 0 for nodes that do not move freely.
     cell_active (cu, cv), cell_material (cu, cv, layers) : cells, index into the materials. thickness, spacing :
     thickness and edge of a cube of the mean cell's volume [L]. plastic : some spring can yield. right_handed : (u, v,
-    inward) is. highest_frequency : an upper bound of the squared angular frequencies at rest [1/s^2], frequency_scale (N,) : what
-    gives it (stability.py). highest_drag : the largest gamma / m [1/s]. shortest : spring [L]. segments (M, 4)
+    inward) is. highest_frequency : an upper bound of the squared angular frequencies at rest [1/s^2], frequency_scale
+    (N,) : what gives it (stability.py). highest_drag : the largest gamma / m [1/s]. shortest : spring [L]. segments (M, 4)
     : direction, start, stop, shift: runs of springs (d, n), n in [start, stop), that end at n + shift. ties : nodes that
     follow others (assembly.py). free (b, 3) : what nothing holds, as runs of nodes: body, first node, last node + 1, the
     runs of a body one behind the other. grids : first node, shape and wrap of each lattice that this one is assembled from

@@ -50,18 +50,21 @@ def least_bound(
     segments: Index, stiffness: Array, rest_length: Array, inverse_mass: Array, nodes: Array, ties: TiedNodes
 ) -> tuple[float, Array]:
     """The least bound of `highest_frequency` at nodes (N, 3), and the scale (N,) that gives it."""
-    scale, work, square = np.ones(len(nodes)), np.empty((SCRATCH_ROWS, len(nodes) + 2)), math.inf
+    scale, work = np.ones(len(nodes)), np.empty((SCRATCH_ROWS, len(nodes) + 2))
     free = inverse_mass > 0.0
     scale[free] = np.sqrt(inverse_mass[free] / inverse_mass.max())
+    square, best = math.inf, scale
     for _ in range(MOST_TURNS):
         used = scale.copy()
         now = highest_frequency(
             segments, stiffness, rest_length, inverse_mass, nodes, scale, work,
             ties.nodes, ties.start, ties.masters, ties.weights,
         )  # fmt: skip
-        if not now < square * (1.0 - ENOUGH):
-            return (now, used) if not now > square else (square, best)
-        square, best = now, used
+        enough = not now < square * (1.0 - ENOUGH)
+        if now < square:
+            square, best = now, used
+        if enough:
+            break
     return square, best
 
 
