@@ -19,6 +19,7 @@ from .levels import in_order
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V
 from .quadrature import BLOCK, in_grid, ring_of, unresolved_cells, vertex_areas
 from .spheres import fill_spheres
+from .voxels import Voxels, feet, near_surface
 from .workspace import Patch, Room, Search, Waves, canonical, make_points
 
 Array = NDArray[np.float64]
@@ -160,16 +161,64 @@ def near_pair(a: Array, k: int, b: Array, l: int, pad: float) -> bool:
 
 
 @njit_in_place
+def cells_near(
+    g: Patch, h: Patch, its: Array, reach: float, mark: int, room: Room, search: Search, voxels: Voxels
+) -> int:
+    """The same as `near_cells` for a tool that keeps its shape, whose voxels stand for its spheres."""
+    cells, children, stack = room.cells, room.children, search.stack
+    offset, tally, row_u, row_v, child_u, child_v, covers, ball, box = (
+        g.offset, g.tally, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.box,
+    )  # fmt: skip
+    stamp, tick, last, across = g.sphere_stamp, g.tick, len(g.offset) - 2, g.tally[0, 1]
+    count, tests = 0, 0
+    for k in range(len(box)):
+        if not (covers[k] and near(box, k, its[0], its[1], reach)):
+            continue
+        children[0, 0], children[0, 1], children[0, 2] = 0, k // across, k % across
+        fill_spheres(g, children, 1)
+        stack[0, 0], stack[0, 1], stack[0, 2] = 0, k // across, k % across
+        top = 1
+        while top > 0:
+            top -= 1
+            level, c, d = stack[top, 0], stack[top, 1], stack[top, 2]
+            at = offset[level] + c * tally[level, 1] + d
+            tests += 1
+            if not near_surface(h, search, voxels, its, ball[at, 0], ball[at, 1], ball[at, 2], ball[at, 3] + reach):
+                continue
+            if level == last or (
+                row_u[level, c + 1] - row_u[level, c] <= SMALL and row_v[level, d + 1] - row_v[level, d] <= SMALL
+            ):
+                cells[count, 0], cells[count, 1], cells[count, 2] = level, c, d
+                count += 1
+                continue
+            found, missing = 0, 0
+            for i in range(child_u[level, c], child_u[level, c + 1]):
+                for j in range(child_v[level, d], child_v[level, d + 1]):
+                    at = offset[level + 1] + i * tally[level + 1, 1] + j
+                    if covers[at]:
+                        missing += stamp[at] != tick
+                        children[found, 0], children[found, 1], children[found, 2] = level + 1, i, j
+                        stack[top, 0], stack[top, 1], stack[top, 2] = level + 1, i, j
+                        found += 1
+                        top += 1
+            if missing > 0:
+                fill_spheres(g, children, found)
+    g.counters[4] += tests
+    return count
+
+
+@njit_in_place
 def surface_rows(
-    g: Patch, h: Patch, its: Array, seed: int, reach: float, felt: float, margin: float, tie: float, at: Array, turn: Array,
-    mark: int, mark_again: int, mark_last: int, room: Room, waves: Waves, search: Search, rows: Columns, row: int,
+    g: Patch, h: Patch, voxels: Voxels, its: Array, seed: int, reach: float, felt: float, margin: float, tie: float,
+    at: Array, turn: Array, mark: int, mark_again: int, mark_last: int, room: Room, waves: Waves, search: Search, rows: Columns, row: int,
     body: int, tool: int, face: int,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Contacts of g's patch with the tool h, both in the tool's frame, into `rows` from `row` on, in the world: x_world =
     turn x + at.
 
-    seed : a vertex to begin with instead of the cells that come within `reach`, or -1. felt : cells of the model that are
-    deeper than this behind the tool, at all their vertices, do not begin a contact. mark... : numbers new to g's marks.
+    voxels : the tool's, where it keeps its shape. seed : a vertex to begin with instead of the cells that come within `reach`,
+    or -1. felt : cells of the model that are deeper than this behind the tool, at all their vertices, do not begin a contact.
+    mark... : numbers new to g's marks.
 
     Returns how many contacts; how many cells of the model came near; and how many finest cells the tool may reach between
     their vertices (room.maybe).
@@ -183,12 +232,15 @@ def surface_rows(
     if seed >= 0:
         visit[seed], names[0], place[seed], count, groups, group[1] = mark + 1, seed, 0, 1, 1, 1
     else:
-        near_by = near_cells(g, h, its, reach, mark, room, search)
+        if len(voxels.slot):
+            near_by = cells_near(g, h, its, reach, mark, room, search, voxels)
+        else:
+            near_by = near_cells(g, h, its, reach, mark, room, search)
         count, groups = list_vertices(g, all_cells, near_by, mark, names, place, group)
     # (from here on, those that are listed carry the number behind the mark)
     mark += 1
     make_points(g, names, count)
-    look(g, h, search, names, 0, count, group, groups, margin, tie, points, waves, depth)
+    look(g, h, voxels, search, names, 0, count, group, groups, margin, tie, points, waves, depth)
     # where contacts begin
     head, tail, cells = 0, 0, 0
     for t in range(count):
@@ -250,7 +302,7 @@ def surface_rows(
         if groups == 0:
             break
         make_points(g, names[known:count], count - known)
-        look(g, h, search, names, known, count, group, groups, margin, tie, points, waves, depth)
+        look(g, h, voxels, search, names, known, count, group, groups, margin, tie, points, waves, depth)
         for s in range(known, count):
             kept[s] = 0 if depth[s] < -margin else 1
             if kept[s] == 1:
@@ -318,8 +370,8 @@ def list_vertices(
 
 @njit_in_place
 def look(
-    g: Patch, h: Patch, search: Search, names: Index, start: int, stop: int, group: Index, groups: int, margin: float,
-    tie: float, points: Array, waves: Waves, depth: Array,
+    g: Patch, h: Patch, voxels: Voxels, search: Search, names: Index, start: int, stop: int, group: Index, groups: int,
+    margin: float, tie: float, points: Array, waves: Waves, depth: Array,
 ) -> None:  # fmt: skip
     """The closest points of h to the vertices names[start:stop] of g, and how deep they are: -inf where the tool is open
     there and says nothing. The normals in waves.best are then the tool's, outward, or over an edge the way to it."""
@@ -329,10 +381,13 @@ def look(
         for c in range(3):
             points[s, c] = mine[names[s], c]
     beyond = 1.1 * margin + 1e-300
-    project_in(
-        h, search, points[start:stop], group, groups, tie, beyond, 0, best[start:stop], state[start:stop],
-        owner[start:stop],
-    )  # fmt: skip
+    if len(voxels.slot):
+        feet(h, voxels, search, points[start:stop], beyond, best[start:stop], state[start:stop])
+    else:
+        project_in(
+            h, search, points[start:stop], group, groups, tie, beyond, 0, best[start:stop], state[start:stop],
+            owner[start:stop],
+        )  # fmt: skip
     for s in range(start, stop):
         along, length2 = 0.0, 0.0
         for c in range(3):

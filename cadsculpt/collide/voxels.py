@@ -1,0 +1,177 @@
+"""Voxels about a tool that keeps its shape: how far its surface is, and which of its cells can be nearest.
+
+In the tool's own frame nothing of it changes from step to step. What a voxel tells is found when a point first comes into it,
+by the search that `closest` makes for a group of points, and stays: the descent through the levels of detail is then spared
+to all that come later. A voxel tells the same whenever it is found, so that results do not depend on what came before.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..jit import njit_in_place, njit_inline
+from .closest import approach, candidates, nearest_candidates
+from .newton import NORMAL, U, V, polynomial
+from .workspace import Patch, Search
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+MOST_VOXELS, MOST_KNOWN = 1 << 20, 1 << 14
+"""Voxels of a tool, and how many of them are known at a time: when there are more, all are forgotten."""
+
+PAD = 3
+"""Voxels beyond the tool's box on all sides."""
+
+HALF_DIAGONAL = 0.8660254037844387
+"""Of a unit cube."""
+
+
+class Voxels(NamedTuple):
+    """low (3,), edge : where the grid of counts (3,) cubes begins, and their size. slot : the row of each cube, plus 1; 0 where
+    it is not known.
+
+    Of each row: names, the cube; foot (n, 9), its middle's distance from the surface, and u, v, S_u, S_v of the closest
+    point; its candidates table[first[k] : first[k + 1]] and final[...], as in `closest.candidates`. used (1,) : rows.
+    """
+
+    low: Array
+    edge: float
+    counts: Index
+    slot: NDArray[np.int32]
+    names: Index
+    foot: Array
+    first: Index
+    table: Array
+    final: Index
+    used: Index
+
+
+def voxels_about(extent: Array, edge: float, cells: int) -> Voxels:
+    """Voxels of about this edge about a box (2, 3), no more than MOST_VOXELS. cells : of the surface, at all levels."""
+    size = extent[1] - extent[0]
+    while np.prod(size / edge + 2.0 * PAD + 1.0) > MOST_VOXELS:
+        edge *= 1.25
+    counts = np.ceil(size / edge).astype(np.int64) + 2 * PAD
+    low = 0.5 * (extent[0] + extent[1]) - 0.5 * edge * counts
+    rows = max(64 * MOST_KNOWN, cells)
+    return Voxels(
+        low, edge, counts, np.zeros(int(counts.prod()), np.int32), np.zeros(MOST_KNOWN, np.int64),
+        np.empty((MOST_KNOWN, 9)), np.zeros(MOST_KNOWN + 1, np.int64), np.empty((rows, 5)), np.empty((rows, 3), np.int64),
+        np.zeros(1, np.int64),
+    )  # fmt: skip
+
+
+NO_VOXELS = Voxels(
+    np.zeros(3), 1.0, np.zeros(3, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int64), np.empty((0, 9)),
+    np.zeros(1, np.int64), np.empty((0, 5)), np.empty((0, 3), np.int64), np.zeros(1, np.int64),
+)  # fmt: skip
+"""Of a tool that changes its shape."""
+
+
+@njit_inline
+def voxel_at(voxels: Voxels, x: float, y: float, z: float) -> int:
+    """The number of the voxel that holds a point; -1 where none does."""
+    low, edge, counts = voxels.low, voxels.edge, voxels.counts
+    a, b, c = (x - low[0]) / edge, (y - low[1]) / edge, (z - low[2]) / edge
+    if not (a >= 0.0 and a < counts[0] and b >= 0.0 and b < counts[1] and c >= 0.0 and c < counts[2]):
+        return -1
+    return (int(a) * counts[1] + int(b)) * counts[2] + int(c)
+
+
+@njit_inline
+def middle(voxels: Voxels, number: int) -> tuple[float, float, float]:
+    """Of a voxel."""
+    low, edge, counts = voxels.low, voxels.edge, voxels.counts
+    return (
+        low[0] + (number // (counts[1] * counts[2]) + 0.5) * edge,
+        low[1] + (number // counts[2] % counts[1] + 0.5) * edge,
+        low[2] + (number % counts[2] + 0.5) * edge,
+    )
+
+
+@njit_in_place
+def explore(h: Patch, search: Search, voxels: Voxels, number: int) -> int:
+    """Find out what a voxel tells; its row."""
+    slot, names, foot, first, used = voxels.slot, voxels.names, voxels.foot, voxels.first, voxels.used
+    c, table, final, rho = search.centre, search.table, search.final, HALF_DIAGONAL * voxels.edge
+    c[0], c[1], c[2] = middle(voxels, number)
+    count = candidates(h, search, rho, np.inf)
+    distance, _ = approach(h, search, table, final, 0, count, c[0], c[1], c[2], 0.0, 0.0, 0.0, False, np.inf)
+    count = nearest_candidates(table, final, count, c, rho, distance)
+    if used[0] == len(names) or first[used[0]] + count > len(voxels.table):
+        for k in range(used[0]):
+            slot[names[k]] = 0
+        used[0] = 0
+    row = used[0]
+    start = first[row]
+    for t in range(count):
+        for a in range(5):
+            voxels.table[start + t, a] = table[t, a]
+        for a in range(3):
+            voxels.final[start + t, a] = final[t, a]
+    u, v, tangents = search.mine[U], search.mine[V], search.h
+    polynomial(
+        h.net, h.knots_u, h.knots_v, h.degree_u, h.degree_v, h.rational, search.scratch, h.frames, h.terms, h.terms_stamp,
+        h.tick, u, v, c[0], c[1], c[2], tangents,
+    )  # fmt: skip
+    foot[row, 0], foot[row, 1], foot[row, 2] = distance, u, v
+    for a in range(3):
+        foot[row, 3 + a], foot[row, 6 + a] = tangents[1, a], tangents[2, a]
+    first[row + 1], names[row], slot[number], used[0] = start + count, number, row + 1, row + 1
+    return row
+
+
+@njit_inline
+def near_surface(
+    h: Patch, search: Search, voxels: Voxels, its: Array, x: float, y: float, z: float, reach: float
+) -> bool:
+    """False only where the surface is farther than `reach` from the point. its (2, 3) : a box about the surface."""
+    number = voxel_at(voxels, x, y, z)
+    if number < 0:
+        a, b = max(0.0, its[0, 0] - x, x - its[1, 0]), max(0.0, its[0, 1] - y, y - its[1, 1])
+        c = max(0.0, its[0, 2] - z, z - its[1, 2])
+        return math.sqrt(a * a + b * b + c * c) <= reach
+    row = voxels.slot[number] - 1
+    if row < 0:
+        row = explore(h, search, voxels, number)
+    a, b, c = middle(voxels, number)
+    away = math.sqrt((a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2)
+    return voxels.foot[row, 0] - away <= reach
+
+
+@njit_in_place
+def feet(h: Patch, voxels: Voxels, search: Search, points: Array, beyond: float, best: Array, state: Index) -> None:
+    """`closest.project_in` for points (n, 3); best (n, 9), state (n,) receive what it finds."""
+    found, mine, tangents, c, foot = search.found, search.mine, search.h, search.centre, voxels.foot
+    for s in range(len(points)):
+        x, y, z = points[s, 0], points[s, 1], points[s, 2]
+        number = voxel_at(voxels, x, y, z)
+        if number < 0:
+            c[0], c[1], c[2] = x, y, z
+            count = candidates(h, search, 0.0, np.inf)
+            distance, kind = approach(h, search, search.table, search.final, 0, count, x, y, z, x, y, z, False, beyond)
+        else:
+            row = voxels.slot[number] - 1
+            if row < 0:
+                row = explore(h, search, voxels, number)
+            # from the closest point of the voxel's middle, by its tangents
+            found[U], found[V] = foot[row, 1], foot[row, 2]
+            for a in range(3):
+                tangents[1, a], tangents[2, a] = foot[row, 3 + a], foot[row, 6 + a]
+            px, py, pz = middle(voxels, number)
+            first = voxels.first[row]
+            distance, kind = approach(
+                h, search, voxels.table, voxels.final, first, voxels.first[row + 1] - first,
+                x, y, z, px, py, pz, True, beyond,
+            )  # fmt: skip
+        if distance < np.inf:
+            for a in range(9):
+                best[s, a] = mine[a]
+            for a in range(3):
+                best[s, NORMAL + a] *= h.flip
+            state[s] = kind
