@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cadsculpt.formats.occt.trim import evaluate_trim, trim_domain
+from cadsculpt.formats.occt.trim import evaluate_trim, reversed_trim, signed_area, trim_domain
 from cadsculpt.formats.part import Face
 from cadsculpt.spline.surface import BSplineSurface, TrimCurve, TrimLoop
 
@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 
 SAME = 1e-9
 """Relative difference within which numbers are the same."""
+
+AREA = 0.05
+"""Loops whose areas differ by more than this share of the domain are not the same loops; finer differences are the curves'."""
 
 FAR = 1e9
 """A difference that stands for "not the same kind of thing at all"."""
@@ -26,7 +29,7 @@ class Difference:
     """control_points, trims: relative to the surface's size; knots: to their range; weights: to the largest one.
 
     same_net: degrees and numbers of control points agree; where they do not, control_points compares points of the
-    surfaces at equal parameters, and knots the domains.
+    surfaces at equal parameters, and knots the domains. FAR stands where there is nothing to compare with.
     """
 
     control_points: float
@@ -36,6 +39,26 @@ class Difference:
     same_net: bool
     turned: bool = False
     """The second reading runs the other way in u or v; the rest is compared after it is turned back."""
+    flipped: bool = False
+    """The second reading has its outside on the other side."""
+    weight_factor: float = 0.0
+    """How far the common factor of all weights, which shapes nothing, is from 1; `weights` is without it."""
+    outermost_knots: float = 0.0
+    """Difference of the first and the last knots, which shape nothing; `knots` has them too where they are compared."""
+
+    @property
+    def same(self) -> bool:
+        """Nothing differs by more than rounding."""
+        return self.same_net and not self.flipped and self.largest <= SAME
+
+    def causes(self) -> list[str]:
+        """What differs, by name."""
+        if not self.same_net:
+            return ["net"]
+        found = [name for name in ("control_points", "knots", "weights") if getattr(self, name) > SAME]
+        if self.trims > SAME:
+            found.append("trims" if self.trims < FAR / 2 else "trim loops")
+        return found + ["side"] * self.flipped
 
     @property
     def largest(self) -> float:
@@ -46,34 +69,48 @@ class Difference:
 
 
 def difference(
-    a: BSplineSurface, b: BSplineSurface, *, trims: bool = True, unit_range: bool = False, parameters: bool = True
+    a: BSplineSurface,
+    b: BSplineSurface,
+    *,
+    trims: bool = True,
+    unit_range: bool = False,
+    parameters: bool = True,
+    sides: bool = True,
+    outermost: bool = True,
 ) -> Difference:
-    """How far `b` is from `a`. trims : compare them. unit_range : b's parameters run from 0 to 1 instead of a's range.
+    """How far `b` is from `a`. trims, sides : compare them. unit_range : b's parameters run from 0 to 1 instead of a's range.
+    outermost : compare the first and the last knots too, which shape nothing.
 
     parameters : compare knots, and trims in (u, v) too; False for surfaces that were no splines, whose parameters the
     conversion chose.
     """
     if unit_range:
         b = _stretched(b, a)
-    turns = [_difference(a, turned, trims, parameters, turned is not b) for turned in _turned(b)]
-    return min(turns, key=lambda found: (found.largest > SAME, found.turned, found.largest))
+    turns = [_difference(a, turned, trims, parameters, outermost, turned is not b) for turned in _turned(b)]
+    found = min(turns, key=lambda found: (found.largest > SAME, found.turned, found.largest))
+    return replace(found, flipped=sides and (a.outward != b.outward) != found.turned)
 
 
-def _difference(a: BSplineSurface, b: BSplineSurface, trims: bool, parameters: bool, turned: bool) -> Difference:
+def _difference(
+    a: BSplineSurface, b: BSplineSurface, trims: bool, parameters: bool, outermost: bool, turned: bool
+) -> Difference:
     size = max(a.size, 1e-300)
     same = a.shape == b.shape and (a.degree_u, a.degree_v) == (b.degree_u, b.degree_v)
     if same:
         points = float(np.abs(a.control_points - b.control_points).max()) / size
-        knots = max(_knots(a.knots_u, b.knots_u), _knots(a.knots_v, b.knots_v))
-        weights = _weights(a, b)
+        both = ((a.knots_u, b.knots_u), (a.knots_v, b.knots_v))
+        ends = max(_knots(mine[[0, -1]], other[[0, -1]], np.ptp(mine)) for mine, other in both)
+        knots = max(_knots(mine[1:-1], other[1:-1], np.ptp(mine)) for mine, other in both)
+        knots = max(knots, ends) if outermost else knots
+        weights, factor = _weights(a, b)
     else:
         u, v = (np.linspace(*bounds, 23) for bounds in a.domain)
         s, t = (np.linspace(*bounds, 23) for bounds in b.domain)
         points = float(np.abs(a.evaluate(u[:, None], v) - b.evaluate(s[:, None], t)).max()) / size
         knots = float(np.abs(np.subtract(a.domain, b.domain)).max()) / max(x[1] - x[0] for x in a.domain)
-        weights = 0.0
+        weights = factor = ends = 0.0
     if points > 1e-6:
-        return Difference(points, knots, weights, FAR, same, turned)
+        return Difference(points, knots, weights, FAR if trims else 0.0, same, turned, False, factor, ends)
     return Difference(
         points,
         knots if parameters else 0.0,
@@ -81,6 +118,8 @@ def _difference(a: BSplineSurface, b: BSplineSurface, trims: bool, parameters: b
         _trims(a, b, parameters) / size if trims else 0.0,
         same,
         turned,
+        weight_factor=factor,
+        outermost_knots=ends if parameters else 0.0,
     )
 
 
@@ -110,18 +149,15 @@ def _reversed(surface: BSplineSurface, axis: int) -> BSplineSurface:
     )
 
 
-def _knots(a: Array, b: Array) -> float:
-    """The outermost knots shape nothing and are not compared: openNURBS does not store them."""
-    if len(a) != len(b):
-        return FAR
-    return float(np.abs(a[1:-1] - b[1:-1]).max() / (a[-1] - a[0]))
+def _knots(a: Array, b: Array, span: float) -> float:
+    return float(np.abs(a - b).max() / span) if len(a) == len(b) else FAR
 
 
-def _weights(a: BSplineSurface, b: BSplineSurface) -> float:
-    """A common factor of all weights changes nothing."""
-    wa = np.ones(a.shape) if a.weights is None else a.weights / a.weights.max()
-    wb = np.ones(b.shape) if b.weights is None else b.weights / b.weights.max()
-    return float(np.abs(wa - wb).max())
+def _weights(a: BSplineSurface, b: BSplineSurface) -> tuple[float, float]:
+    """The difference without the common factor of all weights, which changes nothing, and how far that is from 1."""
+    wa = np.ones(a.shape) if a.weights is None else a.weights
+    wb = np.ones(b.shape) if b.weights is None else b.weights
+    return float(np.abs(wa / wa.max() - wb / wb.max()).max()), abs(float(wb.max() / wa.max()) - 1.0)
 
 
 def _stretched(surface: BSplineSurface, like: BSplineSurface) -> BSplineSurface:
@@ -149,33 +185,61 @@ def _stretched(surface: BSplineSurface, like: BSplineSurface) -> BSplineSurface:
 def _trims(a: BSplineSurface, b: BSplineSurface, parameters: bool) -> float:
     """Largest distance between the trim curves of two surfaces, a length: in space, and in (u, v) scaled to lengths.
 
-    Curves are compared at equal shares of their ranges first, run either way; where that does not fit, because one runs
-    at another pace or is cut elsewhere, places along each are compared with the nearest places of the other.
+    Curves with the same knots and weights are compared by their control points, others at equal shares of their ranges, run
+    either way; where that does not fit, because one runs at another pace or is cut elsewhere, places along each are compared
+    with the nearest places of the other. Loops that enclose something else, or are outer where they were inner, are FAR.
     """
     if a.trims is None and b.trims is None:
         return 0.0
-    if a.trims is None or b.trims is None or len(a.trims) != len(b.trims):
+    if a.trims is None or b.trims is None or len(a.trims) != len(b.trims) or not _same_loops(a, b):
         return FAR * a.size
     mine, other = _curves(a.trims), _curves(b.trims)
     if len(mine) == len(other):
         here = [_along(a, curve, parameters) for curve in mine]
         there = [_along(b, curve, parameters) for curve in other]
         left, worst = set(range(len(there))), 0.0
-        for points in here:
+        for curve, points in zip(mine, here, strict=True):
             apart = {k: min(_apart(points, there[k]), _apart(points, there[k][::-1])) for k in left}
             nearest = min(apart, key=lambda k: apart[k])
             left.remove(nearest)
-            worst = max(worst, apart[nearest])
+            worst = max(worst, apart[nearest], _nets(a, curve, other[nearest]) if parameters else 0.0)
         if worst <= SAME * a.size:
             return worst
     return max(_off(a, mine, b, other, parameters), _off(b, other, a, mine, parameters))
+
+
+def _same_loops(a: BSplineSurface, b: BSplineSurface) -> bool:
+    """Whether the outer loops enclose the same areas of the domain, in size, and the inner ones too."""
+    (u0, u1), (v0, v1) = a.domain
+
+    def areas(surface: BSplineSurface, outer: bool) -> Array:
+        found = [abs(signed_area(loop)) for loop in surface.trims or () if loop.outer == outer]
+        return np.sort(found) / ((u1 - u0) * (v1 - v0))
+
+    pairs = [(areas(a, outer), areas(b, outer)) for outer in (True, False)]
+    return all(len(mine) == len(other) and np.allclose(mine, other, atol=AREA) for mine, other in pairs)
+
+
+def _nets(surface: BSplineSurface, a: TrimCurve, b: TrimCurve) -> float:
+    """How far the control points of two curves of one shape lie apart, as lengths; 0 for curves that are made otherwise."""
+    (u0, u1), (v0, v1) = surface.domain
+    size = np.array([u1 - u0, v1 - v0])
+    found = []
+    for curve in (b, reversed_trim(b)):
+        if curve.degree != a.degree or curve.control_points.shape != a.control_points.shape:
+            return 0.0
+        wa, wb = (np.ones(len(c.control_points)) if c.weights is None else c.weights for c in (a, curve))
+        knots = (a.knots - a.knots[0]) / np.ptp(a.knots), (curve.knots - curve.knots[0]) / np.ptp(curve.knots)
+        if np.abs(knots[0] - knots[1]).max() <= SAME and np.abs(wa / wa.max() - wb / wb.max()).max() <= SAME:
+            found.append(float((np.abs(a.control_points - curve.control_points) / size).max()) * surface.size)
+    return min(found, default=0.0)
 
 
 def _curves(trims: Sequence[TrimLoop]) -> list[TrimCurve]:
     return [curve for loop in trims for curve in loop.curves]
 
 
-def _along(surface: BSplineSurface, curve: TrimCurve, parameters: bool, count: int = 9) -> Array:
+def _along(surface: BSplineSurface, curve: TrimCurve, parameters: bool, count: int = 33) -> Array:
     """(count, 3 or 5): points of the surface along a trim curve; with `parameters` (u, v) too, scaled to lengths."""
     return _placed(surface, evaluate_trim(curve, np.linspace(*trim_domain(curve), count)), parameters)
 

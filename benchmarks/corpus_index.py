@@ -9,6 +9,9 @@ from pathlib import Path
 CAD = ("step", "iges", "rhino", "spline")
 """Folders of files with surfaces."""
 
+BALL = 0.02
+"""Radius of the ball that is pressed into a file's largest face, over the face's size."""
+
 TRAPS = {
     "step/trj4_k1_geo-ac-214.stp": "inch numbers labelled as mm",
     "step/trj5_k1-sh-203.stp": "inch numbers labelled as mm",

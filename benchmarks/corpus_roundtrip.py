@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from corpus_compare import FAR, Difference, difference, pairs
+from corpus_compare import FAR, SAME, Difference, difference, pairs
 from corpus_index import Entry
 from corpus_read import SPLINES
 
@@ -22,18 +23,18 @@ TARGETS = {
 """Formats that are written and read, by their extensions."""
 
 COMPARED = {
-    "step": "control points, knots, weights, trims, names",
-    "iges": "control points, knots, weights, trims, names",
-    "3dm": "control points, knots, weights, trims, names",
-    "json": "control points, knots, weights, trims, names",
-    "geomdl": "control points, knots, weights, names; trims and knots of trimmed faces in a range from 0 to 1",
-    "g2": "control points, knots, weights, trims; it has no names",
-    "gismo": "control points, knots, weights, names; it has no trims",
+    "step": "control points, knots, weights, trims, sides, names",
+    "iges": "control points, knots, weights, trims, sides, names",
+    "3dm": "control points, knots but for the outermost, which it has not, weights, trims, sides, names",
+    "json": "control points, knots, weights, trims, sides, names",
+    "geomdl": "control points, knots, weights, sides, names; trims and knots of trimmed faces in a range from 0 to 1",
+    "g2": "control points, knots, weights, trims; it has no names and no sides",
+    "gismo": "control points, knots, weights, names; it has no trims and no sides",
 }
 """What a format can keep, and so what is compared."""
 
-SAME = 1e-9
-"""Relative difference within which numbers are the same."""
+SIDELESS = ("g2", "gismo")
+"""Formats that do not say which side of a face is out."""
 
 
 def roundtrip_row(entry: Entry) -> dict[str, Any]:
@@ -52,6 +53,7 @@ def roundtrip_row(entry: Entry) -> dict[str, Any]:
             try:
                 again = through(part, path, target)
                 row[target] = compared(first, usable(again.faces), target, keeps_names(part, target))
+                row[target]["copied"] = path.read_bytes() == entry.path.read_bytes()
             except CadsculptError as error:
                 row[target] = {"refused": str(error).replace(folder, "")}
     return row
@@ -79,6 +81,11 @@ def through(part: Part, path: Path, target: str) -> Part:
     return registry.read(path, units=(part.units or "mm") if nameless_unit else None)
 
 
+def error_of(apart: Difference) -> float:
+    """The largest difference; 1 for a face whose net, loops or side are not the same at all."""
+    return 1.0 if not apart.same_net or apart.flipped else min(apart.largest, 1.0)
+
+
 def keeps_names(part: Part, target: str) -> bool:
     return target != "g2"
 
@@ -88,9 +95,11 @@ def compared(first: list[Face], second: list[Face], target: str, names: bool) ->
     spline: list[tuple[str, Difference]] = []
     other: list[tuple[str, Difference]] = []
     lost, renamed = [], []
+    lost_splines = 0
     for face, again in pairs(first, second):
         if again is None:
             lost.append(face.name)
+            lost_splines += face.kind in SPLINES
             continue
         stretched = target == "geomdl" and face.surface.trims is not None
         apart = difference(
@@ -99,6 +108,8 @@ def compared(first: list[Face], second: list[Face], target: str, names: bool) ->
             trims=target != "gismo",
             unit_range=stretched,
             parameters=face.kind in SPLINES,
+            sides=target not in SIDELESS,
+            outermost=target != "3dm",
         )
         (spline if face.kind in SPLINES else other).append((face.name, apart))
         if names and again.name != face.name:
@@ -106,16 +117,22 @@ def compared(first: list[Face], second: list[Face], target: str, names: bool) ->
     result: dict[str, Any] = {
         "faces": len(first),
         "lost": len(lost),
+        "lost_splines": lost_splines,
+        "more": max(len(second) - (len(first) - len(lost)), 0),
         "renamed": len(renamed),
         "compared": COMPARED[target],
     }
     for label, found in (("spline", spline), ("analytic", other)):
         if not found:
             continue
-        name = max(found, key=lambda item: item[1].largest)[0]
+        name = max(found, key=lambda item: error_of(item[1]))[0]
         result[label] = {
             "faces": len(found),
-            "same": sum(apart.same_net and apart.largest <= SAME for _, apart in found),
+            "same": sum(apart.same for _, apart in found),
+            "causes": dict(Counter(cause for _, apart in found for cause in apart.causes())),
+            "error": max(error_of(apart) for _, apart in found),
+            "rescaled_weights": sum(apart.weight_factor > SAME for _, apart in found),
+            "other_outermost_knots": sum(apart.outermost_knots > SAME for _, apart in found),
             "turned": sum(apart.turned for _, apart in found),
             "same_net": sum(apart.same_net for _, apart in found),
             "control_points": max(apart.control_points for _, apart in found),

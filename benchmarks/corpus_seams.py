@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadsculpt.formats.part import Face, Part
+from cadsculpt.errors import CadsculptError
+from cadsculpt.formats.loose_edges import join
+from cadsculpt.formats.part import Face, FaceEdge, Part
 from cadsculpt.spline.surface import BSplineSurface
 from cadsculpt.units import conversion
 
@@ -18,20 +22,61 @@ USUAL = 1e-6
 """Tolerance over the part's size where a file names none."""
 
 
-def seam_gap(part: Part, face: Face) -> float:
-    """The largest distance, mm, from a face's edges to the surfaces of the faces that share them."""
-    worst = 0.0
-    for edge in face.edges:
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """The largest distance, mm, from a face's edges to the faces that share them, and how many edges those are."""
+
+    largest: float
+    edges: int
+
+
+def seam_gap(part: Part, face: Face, closed: tuple[bool, bool]) -> Gap:
+    """How far a face's edges are from the surfaces of the faces that share them, and its own two sides where it is, or was,
+    closed (along u, along v)."""
+    edges = edges_by_face(part)
+    worst, count = 0.0, 0
+    for edge in edges[face.number]:
         if edge.degenerate or edge.seam:
             continue
         for number in edge.neighbours:
-            other = part.faces.number(number)
-            theirs = [e for e in other.edges if face.number in e.neighbours and len(e.points)]
+            theirs = [e for e in edges.get(number, ()) if face.number in e.neighbours and len(e.points)]
             if theirs:
                 start = np.concatenate([np.asarray(e.uv) for e in theirs])
                 cloud = np.concatenate([np.asarray(e.points) for e in theirs])
+                other = part.faces.number(number)
                 worst = max(worst, float(distance(other.surface, np.asarray(edge.points), start, cloud).max()))
-    return worst
+                count += 1
+    for gap in closing_gaps(face.surface, closed):
+        worst, count = max(worst, gap), count + 1
+    return Gap(worst, count)
+
+
+def closing_gaps(surface: BSplineSurface, closed: tuple[bool, bool]) -> Iterator[float]:
+    """For each direction in which a surface is closed, how far its two ends are apart."""
+    (u0, u1), (v0, v1) = surface.domain
+    u, v = np.linspace(u0, u1, 129), np.linspace(v0, v1, 129)
+    if closed[0]:
+        yield float(np.linalg.norm(surface.evaluate(u0, v) - surface.evaluate(u1, v), axis=-1).max())
+    if closed[1]:
+        yield float(np.linalg.norm(surface.evaluate(u, v0) - surface.evaluate(u, v1), axis=-1).max())
+
+
+def edges_by_face(part: Part) -> dict[int, list[FaceEdge]]:
+    """The edges of every face. Where the file does not say which of them are one, those that run together are."""
+    edges: dict[int, list[FaceEdge]] = {}
+    for face in part.faces:
+        try:
+            edges[face.number] = [edge for edge in face.edges if len(edge.points)]
+        except CadsculptError:
+            edges[face.number] = []
+    if any(edge.neighbours for own in edges.values() for edge in own):
+        return edges
+    numbers = list(edges)
+    joined = join([edges[number] for number in numbers])
+    return {
+        number: [replace(e, neighbours=tuple(numbers[k - 1] for k in e.neighbours)) for e in own]
+        for number, own in zip(numbers, joined, strict=True)
+    }
 
 
 def distance(surface: BSplineSurface, points: Array, uv: Array, cloud: Array) -> Array:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
-from corpus_index import TRAPS
-
-SAME = 1e-9
+from corpus_index import BALL, TRAPS
 
 
 def totals(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -54,71 +53,133 @@ def _reading(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _roundtrip(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    trips = {name: row for name, row in _stage(rows, "roundtrip").items() if "format" in row}
-    largest: dict[str, dict[str, Any]] = {}
+    """Per pair of formats; the error of a face that is lost, or has another net, other loops or another side, is 1."""
+    stage = _stage(rows, "roundtrip")
+    trips = {name: row for name, row in stage.items() if "format" in row}
+    every: dict[str, dict[str, Any]] = {}
     for name, row in trips.items():
         for target, found in row.items():
-            if not isinstance(found, dict):
-                continue
-            pair = largest.setdefault(
-                f"{row['format']}->{target}",
-                {
-                    "files": 0,
-                    "faces": 0,
-                    "same": 0,
-                    "turned": 0,
-                    "error": 0.0,
-                    "lost": 0,
-                    "renamed": 0,
-                    "exceptions": {},
-                },
-            )
-            pair["files"] += 1
-            if "refused" in found:
-                pair["exceptions"][name] = f"refused: {found['refused']}"
-                continue
-            spline = found["spline"]
-            error = max(spline[key] for key in ("control_points", "knots", "weights", "trims"))
-            pair["compared"] = found["compared"]
-            pair["faces"] += spline["faces"]
-            pair["same"] += spline["same"]
-            pair["turned"] += spline["turned"]
-            pair["lost"] += found["lost"]
-            pair["renamed"] += found["renamed"]
-            pair["error"] = max(pair["error"], error)
-            if spline["same"] < spline["faces"] or found["lost"]:
-                pair["exceptions"][name] = (
-                    f"{spline['faces'] - spline['same']} of {spline['faces']} spline faces differ, "
-                    f"{spline['faces'] - spline['same_net']} in the net, {spline['trims_otherwise']} in the number of trims, "
-                    f"{found['lost']} lost; points {spline['control_points']:.2g}, knots {spline['knots']:.2g}, "
-                    f"weights {spline['weights']:.2g}, trims {spline['trims']:.2g} ({spline['worst_face']})"
-                )
+            if isinstance(found, dict):
+                pair = every.setdefault(f"{row['format']}->{target}", _nothing_yet())
+                _add(pair, name, found)
     return {
         "roundtrip_files": len(trips),
-        "roundtrip_max_error": {pair: found["error"] for pair, found in sorted(largest.items())},
-        "roundtrip": dict(sorted(largest.items())),
+        "roundtrip_not_done": {
+            name: next((f"{key}: {row[key]}" for key in ("crashed", "hung", "skipped") if key in row), "no reason")
+            for name, row in stage.items()
+            if "format" not in row
+        },
+        "roundtrip_max_error": {pair: found["error"] for pair, found in sorted(every.items())},
+        "roundtrip_not_same": {
+            pair: f"{found['faces'] - found['same']} of {found['faces']} spline faces, {found['refused']} files refused: "
+            + (", ".join(f"{cause} {count}" for cause, count in sorted(found["causes"].items())) or "nothing else")
+            for pair, found in sorted(every.items())
+            if found["same"] < found["faces"] or found["causes"] or found["refused"]
+        },
+        "roundtrip": dict(sorted(every.items())),
     }
 
 
+def _nothing_yet() -> dict[str, Any]:
+    counts = ("files", "copied", "refused", "faces", "same", "turned", "analytic_faces", "analytic_same", "lost", "more",
+              "renamed", "rescaled_weights", "other_outermost_knots")  # fmt: skip
+    return {**dict.fromkeys(counts, 0), "error": 0.0, "causes": {}, "exceptions": {}}
+
+
+def _add(pair: dict[str, Any], name: str, found: dict[str, Any]) -> None:
+    """One file's row of a pair. Causes count faces; a face may have several."""
+    pair["files"] += 1
+    if "refused" in found:
+        pair["refused"] += 1
+        pair["error"] = 1.0
+        pair["exceptions"][name] = f"refused: {found['refused']}"
+        return
+    pair["compared"] = found["compared"]
+    pair["copied"] += found["copied"]
+    for key in ("lost", "more", "renamed"):
+        pair[key] += found[key]
+    analytic = found.get("analytic", {"faces": 0, "same": 0})
+    pair["analytic_faces"] += analytic["faces"]
+    pair["analytic_same"] += analytic["same"]
+    spline = found.get("spline", {"faces": 0, "same": 0, "error": 0.0, "causes": {}})
+    for key in ("faces", "same", "turned", "rescaled_weights", "other_outermost_knots"):
+        pair[key] += spline.get(key, 0)
+    pair["faces"] += found["lost_splines"]
+    pair["error"] = max(pair["error"], 1.0 if found["lost"] else spline["error"])
+    causes = {**spline["causes"], **{key: found[key] for key in ("lost", "more", "renamed") if found[key]}}
+    for cause, count in causes.items():
+        pair["causes"][cause] = pair["causes"].get(cause, 0) + count
+    if causes:
+        told = ", ".join(f"{cause} {count}" for cause, count in causes.items())
+        off = spline["faces"] - spline["same"]
+        pair["exceptions"][name] = f"{off} of {spline['faces']} spline faces differ: {told}; {_figures(spline)}"
+
+
+def _figures(spline: dict[str, Any]) -> str:
+    if not spline["faces"]:
+        return "no spline face came back"
+    shown = ", ".join(f"{key} {spline[key]:.2g}" for key in ("control_points", "knots", "weights", "trims"))
+    return f"{shown} ({spline['worst_face']})"
+
+
+SHALLOW = 3.0
+"""A dent that is no deeper than this many refit tolerances shows nothing: the untouched face would nearly pass."""
+
+SMALL = 0.5 * BALL
+"""A ball smaller than this, over its face's size, is smaller than was asked for."""
+
+
 def _sculpting(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    every = {name: row for name, row in _stage(rows, "sculpt").items() if "skipped" not in row}
+    stage = _stage(rows, "sculpt")
+    every = {name: row for name, row in stage.items() if "skipped" not in row}
     done = {name: row for name, row in every.items() if row.get("sculpted")}
-    valid = {name: row for name, row in done.items() if row["valid"]}
     gaps = {name: row["seam_gap"] / row["seam_allowed"] for name, row in done.items() if row["seam_allowed"] > 0.0}
+
+    def share(key: str) -> float | None:
+        return sum(bool(row[key]) for row in done.values()) / len(done) if done else None
+
+    def where(key: str, told: str, wrong: bool = False) -> dict[str, Any]:
+        return {name: row[told] for name, row in done.items() if bool(row[key]) == wrong}
+
     return {
         "sculpt_files": len(every),
+        "sculpt_skipped": {name: row["skipped"] for name, row in stage.items() if "skipped" in row},
         "sculpted": len(done),
         "sculpt_refused": {name: row["refused"] for name, row in every.items() if "refused" in row},
-        "sculpted_valid": len(valid) / len(done) if done else None,
-        "sculpted_invalid": {name: row["new_faults"] for name, row in done.items() if not row["valid"]},
+        "sculpt_failed": {name: row["failed"] for name, row in every.items() if "failed" in row},
+        "sculpted_smaller_face": {n: row["larger_refused"] for n, row in done.items() if row["larger_refused"]},
+        "smaller_ball": {n: row["ball_over_size"] for n, row in done.items() if row["ball_over_size"] < SMALL},
+        "not_touched": [name for name, row in done.items() if not row["touched"]],
+        "shallow_dents": {
+            n: row["dent_over_tolerance"] for n, row in done.items() if row["dent_over_tolerance"] < SHALLOW
+        },
+        "sculpted_valid": share("valid"),
+        "sculpted_valid_outright": sum(row["valid"] and row["valid_before"] for row in done.values()),
+        "sculpted_invalid": where("valid", "new_faults"),
+        "checked_by": dict(Counter(row["checked_by"] for row in done.values())),
         "untouched_changed": sum(row["untouched_changed"] for row in done.values()),
+        "untouched_faces": sum(row["untouched"] for row in done.values()),
         "untouched_exceptions": {n: row["changed_faces"] for n, row in done.items() if row["untouched_changed"]},
+        "seam_edges": sum(row["seam_edges"] for row in done.values()),
+        "seam_files": sum(row["seam_edges"] > 0 for row in done.values()),
+        "seam_edges_lost": {
+            name: [row["seam_edges_before"], row["seam_edges"]]
+            for name, row in done.items()
+            if row["seam_edges"] != row["seam_edges_before"]
+        },
         "seam_gap_max": max(gaps.values(), default=None),
         "seam_exceptions": {
             name: row["seam_gap"] for name, row in done.items() if row["seam_gap"] > row["seam_allowed"]
         },
-        "refit_within_tolerance": sum(row["refit_within"] for row in done.values()) / len(done) if done else None,
-        "refit_within_or_refused": sum(row["refit_ok"] for row in done.values()) / len(done) if done else None,
+        "seam_gaped_before": {
+            name: [row["seam_gap_before"], row["seam_gap"], row["seam_tolerance"]]
+            for name, row in done.items()
+            if row["seam_gap_before"] > row["seam_tolerance"]
+        },
+        "written_twice_equal": share("same_bytes"),
+        "written_twice_exceptions": [name for name, row in done.items() if not row["same_bytes"]],
+        "refit_within_tolerance": share("refit_within"),
+        "refit_within_or_refused": share("refit_ok"),
         "refit_refused_by_name": {
             name: row["refit_refused"] for name, row in done.items() if not row["refit_within"] and row["refit_ok"]
         },
@@ -126,5 +187,12 @@ def _sculpting(rows: list[dict[str, Any]]) -> dict[str, Any]:
             name: f"{row['refit_error']:.3g} of {row['refit_tolerance']:.3g}: {row.get('refit_refused') or 'not refused'}"
             for name, row in done.items()
             if not row["refit_ok"]
+        },
+        "refit_strays_between_nodes": [name for name, row in done.items() if row["refit_strays"]],
+        "export_within_tolerance": share("export_within"),
+        "export_exceptions": {
+            name: f"{row['export_error']:.3g} mm beside a refit error of {row['refit_error']:.3g} {row['units']}"
+            for name, row in done.items()
+            if not row["export_within"]
         },
     }

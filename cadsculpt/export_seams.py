@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .patch import Patch
+from .patch import SourceFace
 from .spline.between import known_at
 from .spline.equations import displacement_along
 from .spline.follow import Lead, side_of
 from .spline.net_fit import NodeField
-from .spline.seam import Seam, own_seam, seam_of
+from .spline.seam import RELATIVE, Bound, Seam, own_seam, seam_of
 from .spline.surface import BSplineSurface
 
 Array = NDArray[np.float64]
@@ -30,38 +30,56 @@ SMOOTH = 0.5
 TURN = 0.05
 """Degrees that a face may turn against the one that it follows, where they stay tangent."""
 
+NEAR_POLE = 0.02
+"""Where a face is narrower than this part of its widest along an edge, near a pole, its tangents may be off as if it were
+not."""
+
+NEARER = 0.8
+"""How near a face must come to the one that it follows, in gaps that are allowed: the gap is seen between those places too."""
+
 CORNER = 1e-6
 """Ends of edges nearer than this part of the faces' size are one corner."""
 
 
-def seams_of(patches: Sequence[Patch]) -> tuple[Seam, ...]:
-    """The common edges of the patches' faces, and the seams of closed ones."""
+def seams_of(faces: Sequence[SourceFace], tolerance: float | None = None) -> tuple[Seam, ...]:
+    """The common edges of faces, and the seams of closed ones. tolerance : how far apart they may be, whatever the file
+    says."""
+    wanted = None if tolerance is None else Bound(tolerance, "scene")
     found: list[Seam] = []
-    for i, a in enumerate(patches):
-        surface = a.source.surface
+    for i, a in enumerate(faces):
+        surface = a.surface
         for axis, closed in enumerate((surface.closed_u, surface.closed_v)):
-            if closed and (surface.trims is None or any(edge.seam for edge in a.source.edges)):
-                found.append(own_seam(i, surface, axis, _tolerance(a, a.name, seam=True)))
-        for j in range(i + 1, len(patches)):
-            found += _between(i, a, j, patches[j])
+            if closed and (surface.trims is None or any(edge.seam for edge in a.edges)):
+                found.append(own_seam(i, surface, axis, wanted or _bound(a, a)))
+        for j in range(i + 1, len(faces)):
+            found += _between(i, a, j, faces[j], wanted)
     return tuple(found)
 
 
-def _tolerance(patch: Patch, other: str, *, seam: bool = False) -> float:
-    return max(
-        (edge.tolerance for edge in patch.source.edges if (edge.seam if seam else other in edge.neighbours)),
-        default=0.0,
-    )
+def _bound(a: SourceFace, b: SourceFace) -> Bound | None:
+    """How far apart two faces (one and itself) may be along their common edge; None where nobody says."""
+    edges = [
+        edge
+        for face, other in ((a, b), (b, a))
+        for edge in face.edges
+        if (edge.seam if a is b else other.name in edge.neighbours)
+    ]
+    own = max((edge.tolerance for edge in edges if not edge.stated), default=0.0)
+    stated = min((edge.tolerance for edge in edges if edge.stated and edge.tolerance > 0.0), default=0.0)
+    if stated >= own and stated > 0.0:
+        return Bound(stated, "file")
+    size = RELATIVE * max(a.surface.size, b.surface.size)
+    return Bound(own, "edge") if own > size else None
 
 
-def _between(i: int, a: Patch, j: int, b: Patch) -> list[Seam]:
+def _between(i: int, a: SourceFace, j: int, b: SourceFace, wanted: Bound | None) -> list[Seam]:
     """The seams of two faces that name each other as neighbours."""
-    edges_a = [edge.uv for edge in a.source.edges if b.name in edge.neighbours and not edge.degenerate]
-    edges_b = [edge.uv for edge in b.source.edges if a.name in edge.neighbours and not edge.degenerate]
+    edges_a = [edge.uv for edge in a.edges if b.name in edge.neighbours and not edge.degenerate]
+    edges_b = [edge.uv for edge in b.edges if a.name in edge.neighbours and not edge.degenerate]
     if not edges_a or not edges_b:
         return []
-    tolerance = max(_tolerance(a, b.name), _tolerance(b, a.name))
-    first, second = a.source.surface, b.source.surface
+    tolerance = wanted or _bound(a, b)
+    first, second = a.surface, b.surface
     found = [seam_of(i, first, uv, j, second, edges_b, tolerance) for uv in edges_a]
     if not any(found):
         # an edge of the one may be a piece of one of the other
@@ -71,36 +89,36 @@ def _between(i: int, a: Patch, j: int, b: Patch) -> list[Seam]:
     return [seam for seam in found if seam is not None]
 
 
-def in_turn(patches: Sequence[Patch], seams: Sequence[Seam]) -> list[int]:
+def in_turn(faces: Sequence[SourceFace], seams: Sequence[Seam]) -> list[int]:
     """The order in which faces are fitted: those first that can only lead, then always one that follows as many as can be."""
-    across = [0] * len(patches)
-    beside: list[set[int]] = [set() for _ in patches]
+    across = [0] * len(faces)
+    beside: list[set[int]] = [set() for _ in faces]
     for seam in seams:
         if seam.a != seam.b:
             for here, there, uv in ((seam.a, seam.b, seam.uv_a), (seam.b, seam.a, seam.uv_b)):
-                across[here] += side_of(patches[here].source.surface, uv) is None
+                across[here] += side_of(faces[here].surface, uv) is None
                 beside[here].add(there)
     order: list[int] = []
-    while len(order) < len(patches):
-        left = [i for i in range(len(patches)) if i not in order]
+    while len(order) < len(faces):
+        left = [i for i in range(len(faces)) if i not in order]
         order.append(max(left, key=lambda i: (len(beside[i].intersection(order)), across[i], -i)))
     return order
 
 
 def agreed(
-    patches: Sequence[Patch], fields: Sequence[NodeField], seams: Sequence[Seam], still: float
+    faces: Sequence[SourceFace], fields: Sequence[NodeField], seams: Sequence[Seam], still: float
 ) -> list[NodeField]:
     """The displacements of the nodes, brought together where lattices that are not tied differ on a common edge by more
     than `still`: either side goes half the way, less and less over a few nodes."""
     fields = list(fields)
     met = [(s.swapped(), s)[k] for s in seams if s.a != s.b for k in (0, 1)]
-    near = [_Reach.of(patches[s.a].source.surface, fields[s.a], s.uv_a) for s in met]
+    near = [_Reach.of(faces[s.a].surface, fields[s.a], s.uv_a) for s in met]
     for _ in range(SWEEPS):
         worst = 0.0
         for k in range(0, len(met), 2):
             a, b = met[k + 1].a, met[k + 1].b
             (here, near_here), (there, near_there) = (
-                known_at(fields[i], patches[i].source.surface.domain, uv)
+                known_at(fields[i], faces[i].surface.domain, uv)
                 for i, uv in ((a, met[k + 1].uv_a), (b, met[k + 1].uv_b))
             )
             jump = there - here
@@ -152,10 +170,13 @@ def _steps(nodes: Array, axis: int) -> Array:
 
 
 def lead_along(
-    seam: Seam, leader: BSplineSurface, displacement: Array, follower: BSplineSurface, *, smooth: bool
+    seam: Seam, leader: BSplineSurface, displacement: Array, follower: BSplineSurface, tolerance: float, *, smooth: bool
 ) -> Lead:
     """What face seam.b must do to follow face seam.a, whose surface as read, over its final net, is `leader` and whose control
-    points move by `displacement`. smooth : keep the two tangent as well, where they were."""
+    points move by `displacement`.
+
+    tolerance : of the refit; the edge comes no less near. smooth : keep the two tangent as well, where they were.
+    """
     moved = displacement_along(leader, displacement, seam.uv_a)
     knots = np.zeros(0)
     side, own = side_of(follower, seam.uv_b), side_of(leader, seam.uv_a)
@@ -174,8 +195,9 @@ def lead_along(
         basis = np.stack([tangents[1, 0], tangents[0, 1]], axis=2)
         along = np.stack([np.linalg.lstsq(m, x, rcond=1e-9)[0] for m, x in zip(basis, wanted, strict=True)])
         across = displacement_along(leader, displacement, seam.uv_a, along)
-        slack = np.radians(TURN) * np.maximum(np.linalg.norm(wanted, axis=1), 1e-9 * follower.size)
-    return Lead(seam.uv_b, moved, 0.5 * seam.allowed, across, direction, slack, knots)
+        length = np.linalg.norm(wanted, axis=1)
+        slack = np.radians(TURN) * np.maximum(length, max(NEAR_POLE * float(length.max()), 1e-9 * follower.size))
+    return Lead(seam.uv_b, moved, min(NEARER * seam.allowed, tolerance), across, direction, slack, knots)
 
 
 def _across(surface: BSplineSurface, uv: Array) -> Array:
@@ -199,15 +221,15 @@ class Corner:
     places: tuple[tuple[int, Array], ...]
 
 
-def corners_of(patches: Sequence[Patch]) -> tuple[Corner, ...]:
+def corners_of(faces: Sequence[SourceFace]) -> tuple[Corner, ...]:
     """The ends of the faces' edges that three or more faces have, or two without a common edge."""
     ends: list[tuple[int, Array, Array]] = []
-    for i, patch in enumerate(patches):
-        for edge in patch.source.edges:
+    for i, face in enumerate(faces):
+        for edge in face.edges:
             if not edge.degenerate:
                 for uv in edge.uv[[0, -1]]:
-                    ends.append((i, uv, patch.source.surface.evaluate(*uv)))
-    slack = CORNER * max((patch.source.surface.size for patch in patches), default=0.0)
+                    ends.append((i, uv, face.surface.evaluate(*uv)))
+    slack = CORNER * max((face.surface.size for face in faces), default=0.0)
     found: list[Corner] = []
     left = list(range(len(ends)))
     while left:

@@ -40,7 +40,8 @@ cells are slivers that would dictate the time step."""
 class SourceEdge:
     """An edge of a face to be sculpted: uv (n, 2) along it, and the names of the other faces that share it.
 
-    tolerance : how far apart the file lets these faces be there, in the scene's unit; 0 when it does not say.
+    tolerance : how far apart the file lets these faces be there, in the scene's unit; 0 when it does not say. stated : it is
+    what the file says of all its geometry, not of this edge.
     """
 
     uv: Array
@@ -48,6 +49,7 @@ class SourceEdge:
     seam: bool = False
     degenerate: bool = False
     tolerance: float = 0.0
+    stated: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,11 +138,7 @@ def build_patch(
         wrap=(nodes.wrap_u, nodes.wrap_v),
     )
     material = scene.material_of(substance.material)
-    on_face = inside(
-        surface,
-        _cell_middles(nodes.u, surface, 0, wrap=nodes.wrap_u),
-        _cell_middles(nodes.v, surface, 1, wrap=nodes.wrap_v),
-    )
+    on_face = cells_on_face(surface, nodes.u, nodes.v, wrap=(nodes.wrap_u, nodes.wrap_v))
     ghost = replace(
         material,
         youngs_modulus=GHOST * material.youngs_modulus,
@@ -179,7 +177,7 @@ def build_patch(
         u=nodes.u,
         v=nodes.v,
         held=held,
-        material_nodes=_nodes_of_cells(on_face, wrap=(nodes.wrap_u, nodes.wrap_v)),
+        material_nodes=nodes_of_cells(on_face, wrap=(nodes.wrap_u, nodes.wrap_v)),
         law=law,
         substep=stable_substep(lattice),
         hold=hold,
@@ -296,7 +294,12 @@ def _cell_middles(t: Array, surface: BSplineSurface, axis: int, *, wrap: bool) -
     return 0.5 * (ends[1:] + ends[:-1])
 
 
-def _nodes_of_cells(cells: Mask, *, wrap: tuple[bool, bool]) -> Mask:
+def cells_on_face(surface: BSplineSurface, u: Array, v: Array, *, wrap: tuple[bool, bool]) -> Mask:
+    """The cells of the nodes u (m,) x v (n,) whose middles lie within the face's trims. wrap : directions that are closed."""
+    return inside(surface, _cell_middles(u, surface, 0, wrap=wrap[0]), _cell_middles(v, surface, 1, wrap=wrap[1]))
+
+
+def nodes_of_cells(cells: Mask, *, wrap: tuple[bool, bool]) -> Mask:
     """Nodes (nu, nv) that belong to at least one of the marked cells."""
     nodes = cells
     for axis in (0, 1):
@@ -311,10 +314,20 @@ def _nodes_of_cells(cells: Mask, *, wrap: tuple[bool, bool]) -> Mask:
 
 def _hold(scene: Scene, face: SourceFace, held_edges: Sequence[SourceEdge]) -> Hold:
     """What of a face stays where it is: held edges (their tangent planes too for G1), poles, and the fixed regions."""
-    smooth = scene.refit.continuity == "G1"
+    boxes = tuple((box.u, box.v) for box in scene.refit.fixed if box.face in (None, face.name, face.number))
+    return hold_of(face, held_edges, boxes, smooth=scene.refit.continuity == "G1")
+
+
+def hold_of(
+    face: SourceFace,
+    held_edges: Sequence[SourceEdge],
+    boxes: tuple[tuple[Span | None, Span | None], ...] = (),
+    *,
+    smooth: bool,
+) -> Hold:
+    """Held edges (smooth : and their tangent planes), the face's poles, and boxes of (u, v) as what stays where it is."""
     lines = tuple(edge.uv for edge in held_edges)
     poles = tuple(edge.uv for edge in face.edges if edge.degenerate)
-    boxes = tuple((box.u, box.v) for box in scene.refit.fixed if box.face in (None, face.name, face.number))
     return Hold(poles, lines, boxes) if smooth else Hold((*lines, *poles), (), boxes)
 
 

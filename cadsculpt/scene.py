@@ -221,6 +221,9 @@ class RefitSpec(Spec):
     continuity: Literal["G0", "G1"] = Field(
         default="G0", description="of faces that share an edge: closed, or tangent as well where they were"
     )
+    seam_tolerance: Positive | None = Field(
+        default=None, description="how far faces may be apart along an edge, what the file states when left out"
+    )
 
 
 class OutputSpec(Spec):

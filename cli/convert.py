@@ -13,6 +13,7 @@ from ..units import conversion
 from .console import ProgressDisplay, note, warn
 
 if TYPE_CHECKING:
+    from ..formats.displace import Displaced
     from ..formats.part import Face, Part
     from ..spline.surface import BSplineSurface
 
@@ -41,18 +42,37 @@ MESHES = (".stl", ".obj", ".ply")
     help="Move the part along these displacements first: X,Y,Z,DX,DY,DZ a line.",
 )
 @click.option("--displace", "displaced", multiple=True, metavar="NAME", help="Move only this face; may be repeated.")
+@click.option(
+    "--instance",
+    "instances",
+    multiple=True,
+    metavar="NAME",
+    help="Move an assembly's part in this place only; may be repeated. Without it all places of a component change alike.",
+)
 @click.option("--displacement-units", "field_units", metavar="U", help="Of the displacements; IN's own when left out.")
 @click.option(
     "--reach",
     type=click.FloatRange(min=0.0, min_open=True),
     metavar="MM",
-    help="Farther from every point nothing moves; 3 times the points' spacing when left out.",
+    help="Farther from every point nothing moves; 4 times the points' spacing when left out.",
 )
 @click.option(
     "--refit",
     type=click.FloatRange(min=0.0, min_open=True),
     metavar="MM",
     help="Tolerance of the moved faces; 1/10000 of a face's size when left out.",
+)
+@click.option(
+    "--continuity",
+    type=click.Choice(["G0", "G1"]),
+    default="G0",
+    help="G1: faces that are tangent along a common edge stay so.",
+)
+@click.option(
+    "--seam-tolerance",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="MM",
+    help="How far moved faces may be apart along a common edge; what IN states when left out.",
 )
 @click.option("--force", is_flag=True, help="Overwrite OUT if it exists.")
 @click.option("--quiet", is_flag=True, help="No progress.")
@@ -64,9 +84,12 @@ def command(
     tolerance: float | None,
     field: Path | None,
     displaced: tuple[str, ...],
+    instances: tuple[str, ...],
     field_units: str | None,
     reach: float | None,
     refit: float | None,
+    continuity: str,
+    seam_tolerance: float | None,
     force: bool,
     quiet: bool,
 ) -> int:
@@ -89,9 +112,13 @@ def command(
         raise InputError(
             "--tolerance is for meshes", where=str(target), mend="write .stl, .obj or .ply, or leave it out"
         )
-    if field is None and (displaced or field_units or reach or refit):
+    if field is None and (
+        displaced or instances or field_units or reach or refit or seam_tolerance or continuity != "G0"
+    ):
         raise InputError(
-            "--displace, --displacement-units, --reach and --refit go with --displacements", mend="name the file"
+            "--displace, --instance, --displacement-units, --reach, --refit, --continuity and --seam-tolerance go with"
+            " --displacements",
+            mend="name the file",
         )
     if target.exists() and not force:
         raise InputError("it exists", where=str(target), mend="choose another name, or overwrite it with --force")
@@ -99,11 +126,26 @@ def command(
         progress.update("reading", remark=source.name)
         part = registry.read(source, units=units)
         if field is not None:
+            from ..formats import displacements
+            from ..formats.displace import displace
+
             progress.update("moving", remark=field.name)
-            told = moved(part, field, displaced, field_units, reach, refit)
+            if instances:
+                part = part.separated(instances)
+            motion = displacements.read(field, field_units or part.units or "mm", reach=reach)
+            part.warnings += [f"{field.name}: {line}" for line in motion.warnings]
+            result = displace(
+                part,
+                motion,
+                named_faces(part, displaced, instances) if displaced else None,
+                among=named_faces(part, (), instances) if instances else None,
+                tolerance=refit,
+                continuity=continuity,
+                seam_tolerance=seam_tolerance,
+            )
         progress.update("writing", remark=target.name)
         if faces:
-            part = part_of_faces(part, chosen_faces(part, faces))
+            part = part_of_faces(part, named_faces(part, faces))
         if format == "geomdl":
             write_geomdl(target, registry.surfaces_in_file_units(part))
         elif format == "mesh":
@@ -115,24 +157,26 @@ def command(
     for line in part.warnings:
         warn(line)
     if field is not None and not quiet:
-        for line in told:
+        for line in lines_of(result):
             note(line)
     return 0
 
 
-def moved(
-    part: Part, file: Path, names: tuple[str, ...], units: str | None, reach: float | None, tolerance: float | None
-) -> list[str]:
-    """Move a part along the displacements of a file; returns what to say of each face that moved."""
-    from ..formats import displacements
-    from ..formats.displace import displace
-
-    field = displacements.read(file, units or part.units or "mm", reach=reach)
-    chosen = chosen_faces(part, names) if names else None
-    return [
+def lines_of(result: Displaced) -> list[str]:
+    """What to say of each face that moved, and of the edges between them."""
+    lines = [
         f"{face.name}: moved by up to {face.moved:.4g} mm, refit within {face.error.maximum:.3g} mm (rms {face.error.rms:.2g})"
-        for face in displace(part, field, chosen, tolerance=tolerance)
+        for face in result.faces
     ]
+    if result.seams:
+        worst = max(result.seams, key=lambda seam: seam.gap)
+        a, b = worst.faces
+        count = "its edge" if len(result.seams) == 1 else f"their {len(result.seams)} edges"
+        lines.append(
+            f"along {count} the faces are at most {worst.gap:.3g} mm apart ({a}, {b}; {worst.gap_as_read:.3g} before, "
+            f"{worst.tolerance:.3g} allowed)"
+        )
+    return lines
 
 
 def format_of(target: Path) -> str:
@@ -153,10 +197,13 @@ def format_of(target: Path) -> str:
     return SUFFIXES[suffix]
 
 
-def chosen_faces(part: Part, names: tuple[str, ...]) -> list[Face]:
-    """The faces of these names or numbers, each once, in the part's order."""
+def named_faces(part: Part, names: tuple[str, ...], instances: tuple[str, ...] = ()) -> list[Face]:
+    """The faces of these names or numbers, each once, in the part's order; none are all. instances : of these alone."""
+    from ..formats.instances import chosen_faces
+
     known = {face.name for face in part.faces}
-    return part.faces.select([int(name) if name.isdecimal() and name not in known else name for name in names])
+    which = [int(name) if name.isdecimal() and name not in known else name for name in names]
+    return chosen_faces(part, which or "all", instances or "all")
 
 
 def part_of_faces(part: Part, faces: list[Face]) -> Part:

@@ -20,7 +20,8 @@ _CHECKS = np.array([0.06, 0.2, 0.35, 0.5, 0.65, 0.8, 0.94])
 """Where, inside a piece, the spline is compared with the curve."""
 
 Curve = Callable[[Array, int], Array]
-"""curve(t (n,), side) -> (n, 3, d): value, first and second derivative, taken from the left (-1) or right (+1) of a break."""
+"""curve(t (n,), side) -> (n, 3, d): value, first and second derivative, taken from the left (-1) or right (+1) of a break.
+With side 0 only the values are asked for."""
 
 
 def _bezier(left: Array, right: Array, step: Array) -> Array:
@@ -58,7 +59,7 @@ def fit_curve(curve: Curve, breaks: Array, tolerance: float) -> tuple[Array, Arr
         step = stop - start
         pieces = _bezier(curve(start, 1), curve(stop, -1), step)
         places = start[:, None] + step[:, None] * _CHECKS
-        truth = curve(places.ravel(), 1)[:, 0].reshape(len(start), len(_CHECKS), -1)
+        truth = curve(places.ravel(), 0)[:, 0].reshape(len(start), len(_CHECKS), -1)
         error = np.linalg.norm(np.einsum("cb,nbd->ncd", blend, pieces) - truth, axis=2).max(axis=1)
         fine = error <= tolerance
         if len(done) + 2 * len(start) > MAX_PIECES or not (step > 1e-9 * (breaks[-1] - breaks[0])).all():

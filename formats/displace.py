@@ -1,53 +1,45 @@
 """A displacement field applied to a part, without any physics: faces near its points follow them, all else stays.
 
-Where the points of the field are a whole grid of nodes on a face, as a run writes them, the face is fitted to those; else
-to nodes of its own, at which the field is interpolated. The fit is the one of a run's export: to a stated tolerance, with as
-few knots more as the nodes ask for.
+The fit is the one of a run's export: to a stated tolerance of the nodes, with as few knots more as they ask for, and closed
+along the edges of faces that move together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from ..errors import GeometryError, InputError
-from ..patch import node_window
-from ..physics.node_grid import node_grid
-from ..spline.adapt import Goal, ToleranceFit, fit_to_tolerance
-from ..spline.hold import Hold
-from ..spline.matrices import span_parameters
-from ..spline.net_fit import Given, NodeField
-from ..spline.refine import missing_knots
+from ..export_seams import seams_of
+from ..patch import SourceFace, hold_of, node_window
+from ..seam_fit import ExportedSeam, FaceMotion, fit_together, open_seams
+from ..spline.adapt import Goal
+from ..spline.net_fit import SINGULAR, Given, NodeField, fit_net
 from ..spline.refit import RefitError
+from ..spline.seam import Seam
 from ..spline.surface import BSplineSurface
-from ..spline.trim import inside
 from .displacements import DisplacementField
-from .load import sculptable
+from .field_nodes import FieldNodes, interpolated_nodes, own_nodes
+from .load import source_face
 from .part import Face, Part
 
 Array = NDArray[np.float64]
 Span = tuple[float, float]
+Box = tuple[Span | None, Span | None]
 
 TOLERANCE = 1e-4
 """Of the refit, in sizes of the face, where none is given."""
 STILL = 0.05
 """Nodes that move by less than this share of the tolerance do not move: their control points keep their bits."""
-ON_FACE = 1e-6
-"""Points nearer to a face, in its sizes, lie on it."""
 FINER = 0.6
 """From one try to the next, of the node spacing, while the nodes do not determine the net."""
 TRIES = 4
-STRAYING = 2.0
-"""Between the nodes, in tolerances, above which a net that follows every node is tried."""
-SPARSE = 50
-"""Places of the grid through all points, for each point, above which they are no grid."""
+MARGIN = 2
+"""Nodes beyond all that move, from which on an interpolated face stays."""
 MOST_CONTROL_POINTS = 20_000
-MOST_NODES = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,37 +57,37 @@ class DisplacedFace:
     exact: bool
 
 
+@dataclass(frozen=True, slots=True)
+class Displaced:
+    """The faces that moved, and how well those that share an edge meet there; lengths in mm."""
+
+    faces: tuple[DisplacedFace, ...]
+    seams: tuple[ExportedSeam, ...]
+
+
 def displace(
     part: Part,
     field: DisplacementField,
     faces: Sequence[Face] | None = None,
     *,
+    among: Sequence[Face] | None = None,
     tolerance: float | None = None,
+    continuity: str = "G0",
+    seam_tolerance: float | None = None,
     on_face: Callable[[str], None] | None = None,
-) -> list[DisplacedFace]:
-    """Move the faces of a part along a field; returns those that moved.
+) -> Displaced:
+    """Move the faces of a part along a field.
 
-    faces : that may move; all when left out. tolerance : mm between the nodes and the refit surface. What could not be met
-    is in the part's warnings. Raises InputError when no point of the field is near the part, and nothing moves.
+    faces : that may move; when left out all (those of `among`) that are near its points, but for those that are near only to
+    the nodes of others. tolerance : mm between the nodes and the refit surface; what could not be met is in the part's
+    warnings. continuity : "G1" keeps faces tangent where they were, those that stay as well. seam_tolerance : mm that faces
+    may be apart along a common edge; what the file states when left out.
+
+    Raises InputError when no point of the field is near the part, and nothing moves; GeometryError naming the faces whose
+    common edge would open, and then nothing has changed.
     """
-    chosen = [face for face in (part.faces if faces is None else faces) if not face.warning]
-    near = [(face, surface) for face in chosen for surface in [sculptable(part, face)] if _reaches(field, surface)]
-    surfaces: dict[int, BSplineSurface] = {}
-    found: list[DisplacedFace] = []
-    moving = {face.number for face, _ in near}
-    for face, surface in near:
-        if on_face:
-            on_face(face.name)
-        made = _displaced(face, surface, field, moving, tolerance or TOLERANCE * surface.size)
-        if made is None:
-            continue
-        surfaces[face.number], told = made
-        found.append(told)
-        limit = tolerance or TOLERANCE * surface.size
-        if told.error.maximum > limit:
-            part.warnings.append(
-                f"face {face.name!r}: the refit keeps within {told.error.maximum:.3g} mm of its nodes, not {limit:.3g}"
-            )
+    movable = [_Movable.of(part, face, tolerance) for face in (faces or among or part.faces) if not face.warning]
+    near = [one for one in movable if _reaches(field, one.surface)]
     if not near:
         low, high = field.points.min(axis=0), field.points.max(axis=0)
         raise InputError(
@@ -103,229 +95,197 @@ def displace(
             where=str(part.path),
             mend="are they in another unit, or is the reach too small?",
         )
-    if not found:
+    smooth = continuity == "G1"
+    grids = [own_nodes(one.surface, field, node_window(one.surface)) for one in near]
+    if faces is None:
+        near, grids = _near_by_themselves(field, near, grids)
+    moving = {one.source.name for one in near}
+    motions, nodes = list[FaceMotion](), list[FieldNodes]()
+    for one, grid in zip(near, grids, strict=True):
+        if on_face:
+            on_face(one.source.name)
+        found, motion = _motion(one, field, grid, moving, smooth=smooth)
+        nodes.append(found)
+        motions.append(motion)
+    sources = [motion.source for motion in motions]
+    seams = seams_of(sources, seam_tolerance)
+    motions = _kept_still(motions, nodes, seams)
+    made = fit_together(motions, seams, smooth=smooth)
+    if apart := open_seams(made.seams, "mm"):
+        raise GeometryError(
+            apart, where=str(part.path), mend="give more points along it, a smaller --refit, or move one of them alone"
+        )
+    surfaces: dict[int, BSplineSurface] = {}
+    told: list[DisplacedFace] = []
+    for one, found, fit in zip(near, nodes, made.fits, strict=True):
+        if not (fit.fit.displacement != 0.0).any():
+            continue
+        surfaces[one.source.number] = fit.surface
+        shape = found.moves.shape
+        told.append(
+            DisplacedFace(
+                one.source.number,
+                one.source.name,
+                found.most,
+                fit.error,
+                (shape[0], shape[1]),
+                found.points is not None,
+            )
+        )
+        if fit.error.maximum > one.tolerance:
+            part.warnings.append(
+                f"face {one.source.name!r}: the refit keeps within {fit.error.maximum:.3g} mm of its nodes, "
+                f"not {one.tolerance:.3g}"
+            )
+    if not told:
         raise InputError("nothing moves: all displacements near its faces are zero", where=str(part.path))
     part.sculpt(surfaces)
-    return found
+    moved = {face.name for face in told}
+    return Displaced(tuple(told), tuple(seam for seam in made.seams if moved.intersection(seam.faces)))
 
 
 def _xyz(point: Array) -> str:
     return ", ".join(f"{x:.4g}" for x in point)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Movable:
+    """A face that may move, and the tolerance of its refit, mm."""
+
+    source: SourceFace
+    tolerance: float
+
+    @classmethod
+    def of(cls, part: Part, face: Face, tolerance: float | None) -> _Movable:
+        source = source_face(part, face, "mm")
+        return cls(source, tolerance or TOLERANCE * source.surface.size)
+
+    @property
+    def surface(self) -> BSplineSurface:
+        return self.source.surface
+
+
 def _reaches(field: DisplacementField, surface: BSplineSurface) -> bool:
     """Whether a point of the field may be near enough to a surface to move it."""
+    return bool(_close(field, surface).any())
+
+
+def _close(field: DisplacementField, surface: BSplineSurface) -> NDArray[np.bool_]:
+    """The points of the field that may be near enough to a surface to move it."""
     net = surface.control_points.reshape(-1, 3)
     low, high = net.min(axis=0) - field.reach, net.max(axis=0) + field.reach
-    return bool(((field.points >= low) & (field.points <= high)).all(axis=1).any())
+    return np.asarray(((field.points >= low) & (field.points <= high)).all(axis=1))
 
 
-def _displaced(
-    face: Face, surface: BSplineSurface, field: DisplacementField, moving: set[int], tolerance: float
-) -> tuple[BSplineSurface, DisplacedFace] | None:
-    """The face's surface along the field, None when nothing of it moves."""
-    window = node_window(surface)
-    grid = _own_grid(surface, field, window)
-    fit = None
-    if grid is not None:
-        fit = _fitted(face, surface, grid, moving, tolerance)
-    exact, spacing = fit is not None, field.spacing
-    for _ in range(0 if exact else TRIES):
-        grid = _interpolated(surface, field, window, spacing)
-        if grid is None or (fit := _fitted(face, surface, grid, moving, tolerance)):
-            break
-        spacing *= FINER
-    if fit is None or grid is None:
-        raise GeometryError(
-            f"no net of its surface follows points {field.spacing:.3g} mm apart",
-            where=face.name,
-            mend="are they in another unit? Otherwise give fewer points",
-        )
-    most = float(np.linalg.norm(grid.moves, axis=2).max())
-    if not most > STILL * tolerance:
-        return None
-    m, n = grid.moves.shape[:2]
-    return fit.surface, DisplacedFace(face.number, face.name, most, fit.error, (m, n), exact)
+def _near_by_themselves(
+    field: DisplacementField, near: Sequence[_Movable], grids: Sequence[FieldNodes | None]
+) -> tuple[list[_Movable], list[FieldNodes | None]]:
+    """Those faces that have nodes of their own in the field, or are near to points that are no other face's nodes."""
+    nodes = np.zeros(len(field.points), dtype=np.bool_)
+    for grid in grids:
+        if grid is not None and grid.points is not None:
+            nodes[grid.points] = True
+    kept = [
+        (one, grid)
+        for one, grid in zip(near, grids, strict=True)
+        if grid is not None or (_close(field, one.surface) & ~nodes).any()
+    ]
+    return [one for one, _ in kept], [grid for _, grid in kept]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
-    """Nodes on a face.
+def _motion(
+    one: _Movable, field: DisplacementField, grid: FieldNodes | None, moving: set[str], *, smooth: bool
+) -> tuple[FieldNodes, FaceMotion]:
+    """The nodes of a face along the field, and what its refit is to do; its own grid, where that determines its net."""
+    source, surface = one.source, one.surface
+    held = [edge for edge in source.edges if not edge.seam and not edge.degenerate and set(edge.neighbours) - moving]
+    goal = Goal(one.tolerance, STILL * one.tolerance, MOST_CONTROL_POINTS)
+    hold = hold_of(source, held, smooth=smooth)
+    window, spacing = node_window(surface), field.spacing
+    for attempt in range(TRIES + 1):
+        nodes = grid if attempt == 0 else interpolated_nodes(surface, field, window, spacing)
+        if attempt:
+            spacing *= FINER
+            if nodes is None:
+                break
+        if nodes is None:
+            continue
+        motion = _determined(source, nodes, goal, lambda net: Given(hold.control_points(net)))
+        if motion is not None:
+            return nodes, FaceMotion(source, motion, hold, goal, nodes.knots)
+    raise GeometryError(
+        f"no net of its surface follows points {field.spacing:.3g} mm apart",
+        where=source.name,
+        mend="are they in another unit? Otherwise give fewer points",
+    )
 
-    u (m,), v (n,) : their parameters. moves (m, n, 3) : displacements. slivers : the knot spans that have none. knots : that
-    a net has more which follows every node. still : rectangles in which the surface stays.
-    """
 
-    u: Array
-    v: Array
-    moves: Array
-    slivers: tuple[list[Span], list[Span]]
-    knots: tuple[Array, Array]
-    still: tuple[tuple[Span | None, Span | None], ...] = ()
-
-
-def _fitted(
-    face: Face, surface: BSplineSurface, grid: _Grid, moving: set[int], tolerance: float
-) -> ToleranceFit | None:
-    """The refit to the nodes; None where they do not determine the net that was read."""
-    stays = [edge.uv for edge in face.edges if edge.degenerate or (not edge.seam and set(edge.neighbours) - moving)]
-    hold = Hold(tuple(stays), boxes=grid.still)
+def _determined(
+    source: SourceFace, nodes: FieldNodes, goal: Goal, given: Callable[[BSplineSurface], Given]
+) -> NodeField | None:
+    """The nodes' displacements; None where they do not determine the net that was read."""
     try:
-        nodes = NodeField.of(
-            surface,
-            grid.u,
-            grid.v,
-            grid.moves,
-            counted=inside(surface, grid.u, grid.v),
-            closed=(surface.closed_u, surface.closed_v),
-            slivers=grid.slivers,
-        )
+        field = nodes.on(source.surface)
+        fit_net(source.surface, field, goal.threshold, given, worst_condition=SINGULAR)
     except GeometryError:
         return None
-    goal = Goal(tolerance, STILL * tolerance, MOST_CONTROL_POINTS)
-    fits: list[ToleranceFit] = []
-    for start in (None, grid.knots):
-        # the net's own knots and few more; or, where the surface would swing between the nodes, those that follow them
-        with suppress(GeometryError):
-            fits.append(
-                fit_to_tolerance(
-                    surface, nodes, goal, constraint=lambda net: Given(hold.control_points(net)), start=start
-                )
-            )
-            if fits[-1].outcome == "within" and fits[-1].between <= STRAYING * tolerance:
-                break
-    return min(fits, key=lambda fit: max(fit.error.maximum, fit.between), default=None)
+    return field
 
 
-def _interpolated(
-    surface: BSplineSurface, field: DisplacementField, window: tuple[Span, Span], spacing: float
-) -> _Grid | None:
-    """Nodes of the face's own, with the field's displacements there; None where there would be too many."""
-    try:
-        nodes = node_grid(surface, (spacing, spacing), window=window, refine=window)
-    except (InputError, GeometryError):
-        return None
-    places = surface.evaluate(nodes.u[:, None], nodes.v)
-    moves = field.at(places.reshape(-1, 3)).reshape(places.shape)
-    knots = missing_knots(surface, nodes.surface)
-    return _Grid(nodes.u, nodes.v, moves, nodes.slivers, knots, _still(surface, nodes.u, nodes.v, moves))
+# ------------------------------------------------------------------ what stays
 
 
-def _still(surface: BSplineSurface, u: Array, v: Array, moves: Array) -> tuple[tuple[Span | None, Span | None], ...]:
-    """The parts of the domain that lie beyond all nodes that move, and two nodes more."""
-    moved = (moves != 0.0).any(axis=2)
-    found: list[tuple[Span | None, Span | None]] = []
-    for axis, t in ((0, u), (1, v)):
-        if not moved.any() or (surface.closed_u, surface.closed_v)[axis]:
+def _kept_still(motions: Sequence[FaceMotion], nodes: Sequence[FieldNodes], seams: Sequence[Seam]) -> list[FaceMotion]:
+    """Faces at whose nodes the field was interpolated stay beyond all that moves; along common edges both sides alike."""
+    free = [_moving_box(motion.source.surface, found) for motion, found in zip(motions, nodes, strict=True)]
+    sides = [side for seam in seams for side in (seam, seam.swapped())]
+    for _ in range(2 * len(motions)):
+        before = [box.copy() for box in free]
+        for side in sides:
+            whole, box = np.array(motions[side.a].source.surface.domain).T, free[side.a]
+            slack = 1e-9 * (whole[1] - whole[0])
+            above = (side.uv_a > box[0] + slack) | ((box[0] <= whole[0]) & (side.uv_a <= whole[0] + slack))
+            below = (side.uv_a < box[1] - slack) | ((box[1] >= whole[1]) & (side.uv_a >= whole[1] - slack))
+            within = (above & below).all(axis=1)
+            within |= np.append(within[1:], False) | np.insert(within[:-1], 0, False)
+            if within.any():
+                there = side.uv_b[within]
+                free[side.b][0] = np.minimum(free[side.b][0], there.min(axis=0))
+                free[side.b][1] = np.maximum(free[side.b][1], there.max(axis=0))
+        if all((a == b).all() for a, b in zip(before, free, strict=True)):
+            break
+    return [
+        replace(motion, hold=replace(motion.hold, boxes=_beyond(motion.source.surface, box)))
+        for motion, box in zip(motions, free, strict=True)
+    ]
+
+
+def _moving_box(surface: BSplineSurface, nodes: FieldNodes) -> Array:
+    """The least and the largest (u, v), (2, 2), between which the face may move, the other way round where it does not; nodes
+    of the field itself say so all over it."""
+    box = np.array(surface.domain).T
+    if nodes.points is not None:
+        return box
+    moved = (nodes.moves != 0.0).any(axis=2)
+    for axis, t in ((0, nodes.u), (1, nodes.v)):
+        if (surface.closed_u, surface.closed_v)[axis]:
             continue
         places = np.flatnonzero(moved.any(axis=1 - axis))
-        low, high = surface.domain[axis]
-        for a, b in ((low, t[max(places[0] - 2, 0)]), (t[min(places[-1] + 2, len(t) - 1)], high)):
+        if not len(places):
+            box[:, axis] = box[::-1, axis].copy()
+            continue
+        if places[0] >= MARGIN:
+            box[0, axis] = t[places[0] - MARGIN]
+        if places[-1] + MARGIN < len(t):
+            box[1, axis] = t[places[-1] + MARGIN]
+    return box
+
+
+def _beyond(surface: BSplineSurface, box: Array) -> tuple[Box, ...]:
+    """The parts of the domain that lie beyond a box of it on one side."""
+    found: list[Box] = []
+    for axis, (low, high) in enumerate(surface.domain):
+        for a, b in ((low, float(box[0, axis])), (float(box[1, axis]), high)):
             if a < b:
-                span = (float(a), float(b))
-                found.append((span, None) if axis == 0 else (None, span))
+                found.append(((a, b), None) if axis == 0 else (None, (a, b)))
     return tuple(found)
-
-
-# ------------------------------------------------------------------ the field's own grid
-
-
-def _own_grid(surface: BSplineSurface, field: DisplacementField, window: tuple[Span, Span]) -> _Grid | None:
-    """The points of the field that lie on a surface, where they are a whole grid over the window; None where not."""
-    tolerance = ON_FACE * surface.size
-    net = surface.control_points.reshape(-1, 3)
-    close = ((field.points >= net.min(axis=0) - tolerance) & (field.points <= net.max(axis=0) + tolerance)).all(axis=1)
-    if not 16 <= np.count_nonzero(close) <= MOST_NODES:
-        return None
-    points, moves = field.points[close], field.moves[close]
-    uv = feet(surface, points)
-    on = np.linalg.norm(surface.evaluate(*uv.T) - points, axis=1) <= tolerance
-    uv, moves = uv[on], moves[on]
-    if len(uv) < 16:
-        return None
-    for axis, closed in enumerate((surface.closed_u, surface.closed_v)):
-        low, high = surface.domain[axis]
-        if closed:  # both sides of the seam are one place
-            uv[high - uv[:, axis] <= 1e-6 * (high - low), axis] = low
-    (u, row), (v, column) = (_values(uv[:, axis], surface.domain[axis]) for axis in (0, 1))
-    if len(u) * len(v) > SPARSE * len(uv):
-        return None
-    full_u, full_v = _full(row, column)
-    if full_u is None or full_v is None:
-        return None
-    found = np.full((len(full_u), len(full_v), 3), np.nan)
-    place_u = np.full(len(u), -1)
-    place_v = np.full(len(v), -1)
-    place_u[full_u], place_v[full_v] = np.arange(len(full_u)), np.arange(len(full_v))
-    inside = (place_u[row] >= 0) & (place_v[column] >= 0)
-    found[place_u[row[inside]], place_v[column[inside]]] = moves[inside]
-    if np.isnan(found).any() or min(found.shape[:2]) < 4:
-        return None
-    u, v = _snapped(u[full_u], surface.domain[0]), _snapped(v[full_v], surface.domain[1])
-    for t, (low, high), closed in ((u, window[0], surface.closed_u), (v, window[1], surface.closed_v)):
-        step = float(np.diff(t).max())
-        if t[0] - low > 1e-6 * (high - low) or high - t[-1] > (1.5 * step if closed else 1e-6 * (high - low)):
-            return None
-    points = surface.evaluate(u[:, None], v)
-    spacing = [float(np.median(np.linalg.norm(np.diff(points, axis=axis), axis=2))) for axis in (0, 1)]
-    try:
-        nodes = node_grid(surface, (spacing[0], spacing[1]), window=window, refine=window)
-    except (InputError, GeometryError):
-        return None
-    return _Grid(u, v, found, nodes.slivers, missing_knots(surface, nodes.surface))
-
-
-def _values(t: Array, domain: tuple[float, float]) -> tuple[Array, NDArray[np.int64]]:
-    """The different values among parameters, to rounding, and which of them each is."""
-    order = np.argsort(t, kind="stable")
-    steps = np.diff(t[order]) > 1e-6 * (domain[1] - domain[0])
-    group = np.concatenate([[0], np.cumsum(steps)])
-    which = np.empty(len(t), dtype=np.int64)
-    which[order] = group
-    return np.bincount(which, weights=t) / np.bincount(which), which
-
-
-def _snapped(t: Array, domain: Span) -> Array:
-    """Parameters with those at the domain's ends, to rounding, exactly there: what lies beyond the nodes stays."""
-    low, high = domain
-    near = 1e-6 * (high - low)
-    return np.where(t - low <= near, low, np.where(high - t <= near, high, t))
-
-
-def _full(
-    row: NDArray[np.int64], column: NDArray[np.int64]
-) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
-    """Rows and columns that make a whole grid: those with fewest points are left out until all are full."""
-    rows, columns = np.arange(row.max() + 1), np.arange(column.max() + 1)
-    table = np.zeros((len(rows), len(columns)), dtype=np.bool_)
-    table[row, column] = True
-    while len(rows) and len(columns) and not table.all():
-        thin_u, thin_v = table.mean(axis=1), table.mean(axis=0)
-        if thin_u.min() <= thin_v.min():
-            keep = thin_u > thin_u.min()
-            table, rows = table[keep], rows[keep]
-        else:
-            keep = thin_v > thin_v.min()
-            table, columns = table[:, keep], columns[keep]
-    return (rows, columns) if len(rows) and len(columns) else (None, None)
-
-
-def feet(surface: BSplineSurface, points: Array, steps: int = 12) -> Array:
-    """Parameters (n, 2) of the places on a surface nearest to points (n, 3): from dense samples on by Gauss and Newton."""
-    u, _ = span_parameters(surface.knots_u, surface.degree_u, max(2, 120 // surface.shape[0]))
-    v, _ = span_parameters(surface.knots_v, surface.degree_v, max(2, 120 // surface.shape[1]))
-    samples = surface.evaluate(u[:, None], v).reshape(-1, 3)
-    nearest = KDTree(samples).query(points)[1]
-    uv = np.column_stack([u[nearest // len(v)], v[nearest % len(v)]])
-    low, high = np.array(surface.domain).T
-    for _ in range(steps):
-        d = surface.derivatives(uv[:, 0], uv[:, 1], 1)
-        gap, a, b = points - d[0, 0], d[1, 0], d[0, 1]
-        aa, ab, bb = (np.einsum("ni,ni->n", x, y) for x, y in ((a, a), (a, b), (b, b)))
-        ga, gb = np.einsum("ni,ni->n", gap, a), np.einsum("ni,ni->n", gap, b)
-        determinant = aa * bb - ab * ab
-        safe = determinant > 1e-14 * aa * bb
-        determinant = np.where(safe, determinant, 1.0)
-        step = np.column_stack([bb * ga - ab * gb, aa * gb - ab * ga]) / determinant[:, None]
-        uv = np.clip(uv + np.where(safe[:, None], step, 0.0), low, high)
-    return uv

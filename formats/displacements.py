@@ -13,7 +13,7 @@ import math
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from scipy.spatial import KDTree
 from ..errors import InputError, SceneError
 from ..units import conversion
 from .contacts_csv import DISPLACEMENT_COLUMNS
+from .cut_off import unended
 from .paths.path_text import text_of_file
 
 Array = NDArray[np.float64]
@@ -49,16 +50,24 @@ class DisplacementField:
     """points (n, 3) and their displacements (n, 3), in mm; spacing : of a grid with as many points.
 
     reach : places farther from every point stay where they are; from half of it on displacements fade.
+    warnings : what its file gave to say.
     """
 
     points: Array
     moves: Array
     spacing: float
     reach: float
+    warnings: tuple[str, ...] = ()
 
     def scaled(self, factor: float) -> DisplacementField:
         """All lengths times `factor`."""
-        return DisplacementField(self.points * factor, self.moves * factor, self.spacing * factor, self.reach * factor)
+        return replace(
+            self,
+            points=self.points * factor,
+            moves=self.moves * factor,
+            spacing=self.spacing * factor,
+            reach=self.reach * factor,
+        )
 
     def at(self, places: Array) -> Array:
         """Displacements (m, 3) of places (m, 3).
@@ -92,7 +101,8 @@ def read(path: str | os.PathLike[str], units: str = "mm", *, reach: float | None
     path = Path(path)
     rows, faults = [], []
     columns: list[int] | None = None
-    for number, words in _lines(text_of_file(path)):
+    text = text_of_file(path)
+    for number, words in _lines(text):
         if columns is None and any(_real(word) is None for word in words):
             columns = _columns(words, f"{path}:{number}")
             continue
@@ -110,7 +120,8 @@ def read(path: str | os.PathLike[str], units: str = "mm", *, reach: float | None
     if not rows:
         raise InputError("it holds no points", where=str(path), mend="one line of X,Y,Z,DX,DY,DZ a point")
     numbers = np.array(rows, dtype=np.float64) * conversion(units, "mm")
-    return field_of(numbers[:, :3], numbers[:, 3:], where=str(path), reach=reach)
+    field = field_of(numbers[:, :3], numbers[:, 3:], where=str(path), reach=reach)
+    return replace(field, warnings=unended(text))
 
 
 def field_of(points: Array, moves: Array, *, where: str = "", reach: float | None = None) -> DisplacementField:

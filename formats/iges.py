@@ -23,6 +23,7 @@ from .iges_kernel import for_kernel, unit_of
 from .iges_part import IgesPart, Source
 from .iges_patches import patch_of
 from .iges_records import Entity, IgesFile, parse, text_of
+from .iges_trims import is_own, keep_file_trims
 from .occt.document import (
     METRES_PER_MM,
     FaceNames,
@@ -36,6 +37,7 @@ from .occt.document import (
     set_length_unit,
     wrong_entities,
 )
+from .occt.healing import set_healing
 from .occt.probe import ensure_survives
 from .occt.quiet import quiet
 from .occt.shape import shape_of_surface
@@ -79,18 +81,22 @@ def load(path: Path, *, units: str | None = None, probing: bool = False) -> Iges
     places: dict[int, TopoDS_Face] = {}
     with quiet():
         try:
-            if not probing and (file.broken or file.disordered or not file.complete):
-                ensure_survives(path, "iges")
+            tried = probing
+            if not tried and (file.broken or file.disordered or not file.complete):
+                ensure_survives(path, "iges", complete=file.complete)
+                tried = True
             reader = _loaded(path, text, file)
-            if not probing and wrong_entities(reader.WS().Model()):
-                ensure_survives(path, "iges")
+            if not tried and wrong_entities(reader.WS().Model()):
+                ensure_survives(path, "iges", complete=file.complete)
         except InputError as error:
             dead = error.what
         else:
             set_length_unit(document, METRES_PER_MM / factor)
+            set_healing(reader, "iges", own=is_own(file))
             reader.Transfer(document)
             set_length_unit(document, METRES_PER_MM)
             unknown = _look_up(reader, document, owners_of(file), names, places)
+            keep_file_trims(file, places)
         # a face of unknown origin may be any of those that are missing
         own = [] if unknown else _read_here(file, places, name, document, names)
         count = count_faces(free_shapes(document))

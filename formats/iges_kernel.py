@@ -28,8 +28,8 @@ UNIT_OF_FLAG = {1: "in", 2: "mm", 4: "ft", 5: "mi", 6: "m", 7: "km", 8: "mil", 9
 
 _FLAG_OF_UNIT = {unit: flag for flag, unit in UNIT_OF_FLAG.items()}
 _NAMED = 3
-_FLAG, _NAME = 13, 14
-"""Places of the unit's flag and name in the global section."""
+_FLAG, _NAME, _RESOLUTION = 13, 14, 18
+"""Places of the unit's flag and name, and of the resolution, in the global section."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +63,12 @@ def unit_of(file: IgesFile) -> Unit:
     if named in _FLAG_OF_UNIT:
         return Unit(named, 1.0, _FLAG_OF_UNIT[named], said)
     return Unit(named, conversion(named, "mm"), _FLAG_OF_UNIT["mm"], said)
+
+
+def resolution_of(file: IgesFile) -> float | None:
+    """The smallest distance that the sender meant, in the file's unit (global parameter 19); None when it does not say."""
+    text = file.header[_RESOLUTION].strip() if len(file.header) > _RESOLUTION else ""
+    return number(text) if text else None
 
 
 def _named(text: str) -> str | None:

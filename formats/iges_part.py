@@ -11,6 +11,7 @@ from OCP.TopoDS import TopoDS_Face
 
 from ..errors import CadsculptError
 from ..spline.surface import BSplineSurface
+from .iges_kernel import resolution_of
 from .iges_records import IgesFile
 from .iges_rewrite import Change, changed_text
 from .iges_sculpt import changes_of_face
@@ -55,6 +56,10 @@ class IgesPart(OcctPart):
         """Number of a face -> its entity's place in the directory, 0 where it is not known."""
         self._read: dict[int, tuple[BSplineSurface, tuple[FaceEdge, ...]]] = {}
         self._now: dict[int, BSplineSurface] = {}
+
+    def tolerance_of(self, number: int) -> float | None:
+        found = resolution_of(self._source.file)
+        return None if found is None else found * self._source.scale
 
     def sculpt(self, surfaces: Mapping[int, BSplineSurface]) -> None:
         for number in surfaces:

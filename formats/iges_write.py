@@ -18,9 +18,10 @@ from .._version import __version__
 from ..errors import InputError
 from .atomic import write_whole
 from .iges_records import IgesFile, order_properties, parse, text_of
+from .occt.own_trims import bounded
 from .occt.part import OcctPart
 from .occt.quiet import quiet
-from .step_text import REAL_FORMAT, step_real
+from .step_text import REAL_FORMAT, SYSTEM, step_real
 
 _KERNEL_UNITS = {
     "um": "UM", "mm": "MM", "cm": "CM", "m": "M", "km": "KM", "in": "INCH", "ft": "FT", "mi": "MI", "mil": "MIL",
@@ -52,7 +53,10 @@ def text_of_part(part: OcctPart, name: str) -> str:
     writer = IGESCAFControl_Writer()
     for mode in ("Name", "Color", "Layer"):
         getattr(writer, f"Set{mode}Mode")(True)
-    if not writer.Transfer(part.document):
+    take_back = bounded(face.shape for face in map(part.face, range(1, len(part.faces) + 1)))
+    done = writer.Transfer(part.document)
+    take_back()
+    if not done:
         raise InputError("the CAD kernel cannot write the part as IGES", where=str(part.path))
     writer.ComputeModel()
     sender = IGESData_IGESWriter(writer.Model())
@@ -71,7 +75,7 @@ def _settled(file: IgesFile, name: str) -> IgesFile:
     for entity in file.entities:
         entity.parameters = [step_real(float(p)) if _REAL.fullmatch(p) else p for p in entity.parameters]
     order_properties(file)  # the kernel has them in the order of memory addresses
-    system = f"cadsculpt {__version__}"
+    system = f"{SYSTEM} {__version__}"
     header = {2: "cadsculpt part", 3: name, 4: system, 5: "Open CASCADE 8", 11: "", 20: "", 21: ""}
     for place, text in header.items():
         if place < len(file.header):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import InputError
-from ..scene import ModelSpec, Scene
+from ..scene import Scene
 from .part import Face, Part
 
 
@@ -20,20 +20,20 @@ def named_instances(scene: Scene, folder: Path) -> dict[Path, list[str]]:
     return found
 
 
-def chosen_faces(part: Part, spec: ModelSpec) -> list[Face]:
-    """The faces of a model, in the part's order; with named instances, those of these instances.
+def chosen_faces(part: Part, faces: str | Sequence[str | int], instances: str | Sequence[str] = "all") -> list[Face]:
+    """The faces that are named, in the part's order; with named instances, those of these instances.
 
     A face is then named as in the component, with its instance before it, or by its number in the whole part. Raises
     InputError for a face that is not there.
     """
-    if isinstance(spec.instances, str):
-        return part.faces.select(spec.faces)
+    if isinstance(instances, str):
+        return part.faces.select(faces)
     known = {instance.name: instance for instance in part.instances}
-    chosen = [known[name] for name in spec.instances]
-    if isinstance(spec.faces, str):
+    chosen = [known[name] for name in instances]
+    if isinstance(faces, str):
         return part.faces.select([number for instance in chosen for number in instance.faces])
     numbers: set[int] = set()
-    for which in spec.faces:
+    for which in faces:
         within = [
             number
             for instance in chosen
@@ -42,7 +42,7 @@ def chosen_faces(part: Part, spec: ModelSpec) -> list[Face]:
         ]
         if not within:
             raise InputError(
-                f"no face {which!r} in {_listed(spec.instances)}",
+                f"no face {which!r} in {_listed(instances)}",
                 where=str(part.path),
                 mend=f"its faces are {', '.join(chosen[0].labels[:6])}"
                 + (", ..." if len(chosen[0].labels) > 6 else ""),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from . import mesh, registry
 from .instances import chosen_faces, named_instances
 from .part import Face, Part
 from .scene_toml import SceneFile
+from .stated_tolerance import stated_tolerance
 
 SPLINES = ("bspline", "bezier")
 SMOOTH_DEGREE = 3
@@ -66,6 +67,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     """
     parts: dict[Path, Part] = {}
     units_of: dict[Path, str | None] = {}
+    read: dict[Path, int] = {}
     apart = named_instances(scene, scene.folder)
     warnings: list[str] = list(scene.warnings)
 
@@ -81,6 +83,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
             parts[path] = registry.read(path, units=units)
             if path in apart:
                 parts[path] = parts[path].separated(apart[path])
+            read[path] = len(parts[path].warnings)
             warnings.extend(f"{path.name}: {line}" for line in parts[path].warnings)
         return path, parts[path]
 
@@ -88,7 +91,7 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     for index, spec in enumerate(scene.model):
         path, part = part_of(spec.file, spec.file_units)
         try:
-            chosen = chosen_faces(part, spec)
+            chosen = chosen_faces(part, spec.faces, spec.instances)
         except InputError as error:
             raise InputError(
                 f"model {spec.name!r}: {path.name} has {error.what}",
@@ -102,11 +105,13 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
                 where=f"model {spec.name!r}",
                 mend="name each face once",
             )
+        if not spec.rigid:
+            warnings += _alike(path, part, chosen)
         solid = _solids(part)
         bodies.append(
             SourceBody(
                 spec.name,
-                tuple(_source_face(part, face, scene.units) for face in chosen),
+                tuple(source_face(part, face, scene.units) for face in chosen),
                 frozenset(f"{path}#{solid[face.number]}" for face in chosen),
             )
         )
@@ -128,9 +133,23 @@ def load(scene: SceneFile, on_file: Callable[[str], None] | None = None) -> Load
     }
     model = build_model(scene, bodies, paths, rigid, meshes, tool_faces)
     models = {path for path, _ in used}
+    warnings += [f"{path.name}: {line}" for path, part in parts.items() for line in part.warnings[read[path] :]]
     return Loaded(
         scene, model, {path: part for path, part in parts.items() if path in models}, tuple(faces), tuple(warnings)
     )
+
+
+def _alike(path: Path, part: Part, chosen: Sequence[Face]) -> list[str]:
+    """A warning where two of the chosen faces are one in two places."""
+    numbers = {face.number for face in chosen}
+    for face in chosen:
+        if both := numbers.intersection(part.twins(face.number)):
+            other = part.faces.number(min(both))
+            return [
+                f"{path.name}: the faces {face.name!r} and {other.name!r} are one face in two places, which can only take the "
+                "same shape; to let them differ name the places in instances"
+            ]
+    return []
 
 
 def _solids(part: Part) -> dict[int, int]:
@@ -150,22 +169,29 @@ def sculptable(part: Part, face: Face) -> BSplineSurface:
     return elevated(face.surface, SMOOTH_DEGREE, SMOOTH_DEGREE)
 
 
-def _source_face(part: Part, face: Face, units: str) -> SourceFace:
+def source_face(part: Part, face: Face, units: str) -> SourceFace:
+    """A face of a part as the engine takes it, in `units`. Raises InputError naming a face that has no surface."""
     try:
         surface = sculptable(part, face).scaled(conversion("mm", units))
     except CadsculptError as error:
         raise InputError(error.what, where=f"{part.path.name}, face {face.name!r}", mend=error.mend) from None
     if face.warning:
         part.warnings.append(f"face {face.name!r}: {face.warning}")
+    stated, doubt = stated_tolerance(part, face)
+    if doubt and doubt not in part.warnings:
+        part.warnings.append(doubt)
+    # a 3DM file states the tolerance of each edge as well; those of other formats' edges are the kernel's
     edges = tuple(
         SourceEdge(
             edge.uv,
             tuple(part.faces.number(n).name for n in edge.neighbours),
             edge.seam,
             edge.degenerate,
-            edge.tolerance * conversion("mm", units),
+            (edge.tolerance if own else stated) * conversion("mm", units),
+            not own,
         )
         for edge in face.edges
+        for own in [not stated or (part.format == "3dm" and edge.tolerance > stated)]
     )
     return SourceFace(face.number, face.name, surface, edges)
 
@@ -176,7 +202,7 @@ def _tool_faces(
     if spec.file is None:
         raise InputError("a surface tool needs a file", where=f"tool {spec.name!r}", mend='write file = "..."')
     _, part = part_of(spec.file, spec.file_units)
-    return [_source_face(part, face, scene.units) for face in part.faces.select(spec.faces or "all")]
+    return [source_face(part, face, scene.units) for face in part.faces.select(spec.faces or "all")]
 
 
 def _tool_mesh(spec: ToolSpec, file: Path, units: str) -> TriangleMesh:

@@ -59,11 +59,11 @@ def join(faces: Sequence[Sequence[FaceEdge]]) -> list[list[FaceEdge]]:
     boxes = np.array([(e.points.min(axis=0), e.points.max(axis=0)) for _, e in flat])
     shared: list[set[int]] = [set() for _ in flat]
     seams = [False] * len(flat)
-    slack = [tolerance + _sag(edge.points) for _, edge in flat]
+    slack = np.array([tolerance + _sag(edge.points) for _, edge in flat])
     for i, (face, edge) in enumerate(flat):
         if edge.degenerate:
             continue
-        reach = np.array([max(slack[i], s) for s in slack])[:, None, None]
+        reach = np.maximum(slack, slack[i])[:, None, None]
         near = (np.abs(boxes - boxes[i]) <= reach).all(axis=(1, 2))
         for j in np.flatnonzero(near[i + 1 :]) + i + 1:
             other_face, other = flat[j]

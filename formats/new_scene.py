@@ -39,6 +39,9 @@ MOST_BUILDS = 12
 MOST_FOLDS = 4
 """Faces on which a lattice may fold before thinner ones are tried."""
 
+THINNINGS = 8
+"""Times that a lattice which folds is made thinner."""
+
 FOLDS = "folds the lattice"
 """What the engine says of a lattice that is too thick for its face."""
 
@@ -90,7 +93,8 @@ def new_scene(
     around = np.concatenate([np.zeros((0, 3)), *(entry.points for entry in samples.values())])
     surveys = _surveys(chosen, samples, around, failures, wish)
     unfit: set[int] = set()
-    for bold in (True, False):
+    # as thick as the press asks for; as thick as cannot fold; and, where that were mere flakes, thinner until it stands
+    for bold, attempts in ((True, 1), (False, THINNINGS), (True, THINNINGS)):
         folded: set[int] = set()
         builds = 0
         for sized in sorted(_presses(surveys, bold, wish), key=lambda press: -press.score):
@@ -104,7 +108,7 @@ def new_scene(
             builds += 1
             tell(f"building the scene on face {face_name!r}{first}")
             try:
-                made = _confirmed(press, shape, part, path, out, wish.steps, units, attempts=1 if bold else 8)
+                made = _confirmed(press, shape, part, path, out, wish.steps, units, attempts=attempts)
             except CadsculptError as error:
                 (folded if FOLDS in error.what else unfit).add(number)
                 failures.append(f"face {face_name!r}: {error.what}")

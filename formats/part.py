@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -173,9 +174,13 @@ class Part(ABC):
         """
         raise InputError("the part has no instances", where=str(self.path), mend="leave instances out")
 
-    @property
+    def twins(self, number: int) -> tuple[int, ...]:
+        """The numbers of the other faces that are this one in another place: they can only change alike."""
+        return ()
+
+    @cached_property
     def extent(self) -> float:
-        """Longest side of a box around the part, mm, about right: from the control points. 0 without surfaces."""
+        """Longest side of a box around the part as read, mm, about right: from the control points. 0 without surfaces."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for face in self.faces:
             if not face.warning:
@@ -187,6 +192,10 @@ class Part(ABC):
     def tolerance(self) -> float | None:
         """The distance, mm, below which the file takes two points for one; None when it does not say."""
         return None
+
+    def tolerance_of(self, number: int) -> float | None:
+        """The same of the face with that number alone, as its part of the file says, sense or not."""
+        return self.tolerance
 
     @property
     def recorded_area(self) -> tuple[float, float] | None:

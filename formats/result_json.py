@@ -22,8 +22,9 @@ from .._version import __version__
 from ..errors import InputError
 from ..expect import Expectation as Expectation
 from ..expect import condition_in_words as condition_in_words
-from ..export_fit import ExportedFace, ExportedSeam
+from ..export_fit import ExportedFace
 from ..history import Summary
+from ..seam_fit import ExportedSeam
 from .atomic import write_whole
 
 MOST_STEPS = 2000
@@ -359,6 +360,7 @@ def result_schema() -> dict[str, Any]:
                     "properties": {
                         **dict.fromkeys([f.name for f in fields(ExportedSeam)], _OPTIONAL_NUMBER),
                         "faces": {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2},
+                        "tolerance_from": {"enum": ["file", "edge", "size", "scene"]},
                     },
                 },
             },

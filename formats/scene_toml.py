@@ -86,7 +86,7 @@ class SceneFile(Scene):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the readers of its path files had to say."""
+        """What the readers of its text, its tools' definitions and its path files had to say."""
         return tuple(self._warnings)
 
     def build(self) -> Model:
@@ -127,6 +127,8 @@ class SceneFile(Scene):
             faults.sort(key=lambda fault: (fault[0] != own, fault[0], fault[1]))
             raise SceneError(list(dict.fromkeys(text for _, _, text in faults)))
         scene._file, scene._absolute, scene._definitions = file, file.path.absolute(), definitions
+        texts = {text.path.name: text.warnings for text in (file, *(used.file for used in definitions.values()))}
+        scene._warnings += [f"{name}: {line}" for name, lines in texts.items() for line in lines]
         for i, tool in enumerate(scene.tool):
             if isinstance(tool.path, tuple):
                 scene._paths[tool.name] = ToolPath.of_rows(tool.path)

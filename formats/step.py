@@ -29,7 +29,9 @@ from .occt.document import (
     wrong_entities,
 )
 from .occt.face import OcctFace
+from .occt.healing import set_healing
 from .occt.moments import moments_of
+from .occt.own_trims import bounded
 from .occt.part import OcctPart
 from .occt.probe import ensure_survives
 from .occt.quiet import quiet
@@ -38,7 +40,8 @@ from .step_properties import update
 from .step_records import StepRecords
 from .step_splice import CannotSpliceError, splice
 from .step_structure import name_single_faces
-from .step_text import REAL_FORMAT, TIME_STAMP, StepFacts, facts_of, settled
+from .step_text import REAL_FORMAT, SYSTEM, TIME_STAMP, StepFacts, facts_of, settled
+from .step_trims import keep_file_trims
 
 _KERNEL_UNITS = {
     "um": "UM", "mm": "MM", "cm": "CM", "m": "M", "km": "KM", "in": "INCH", "ft": "FT", "mi": "MILE", "mil": "MIL",
@@ -72,7 +75,7 @@ def load(path: Path, *, units: str | None = None, probing: bool = False, data: b
     facts = facts_of(data)
     tried = probing
     if not tried and (facts.damaged or not facts.complete):
-        ensure_survives(path, "step")
+        ensure_survives(path, "step", complete=facts.complete)
         tried = True
     with quiet():
         STEPCAFControl_Controller.Init_s()
@@ -85,7 +88,7 @@ def load(path: Path, *, units: str | None = None, probing: bool = False, data: b
             raise InputError("the CAD kernel cannot read it", where=str(path), mend=_mend(facts))
         wrong = wrong_entities(reader.ChangeReader().Model())
         if wrong and not tried:
-            ensure_survives(path, "step")
+            ensure_survives(path, "step", complete=True)
         unit, warnings = _unit_of(reader)
         document = new_document()
         factor = 1.0
@@ -93,6 +96,7 @@ def load(path: Path, *, units: str | None = None, probing: bool = False, data: b
             factor = conversion(unit_name(units), unit)
             unit = unit_name(units)
         set_length_unit(document, METRES_PER_MM / factor)
+        set_healing(reader.ChangeReader(), "step", own=facts.own)
         done = reader.Transfer(document)
         set_length_unit(document, METRES_PER_MM)
         shapes = free_shapes(document)
@@ -106,8 +110,10 @@ def load(path: Path, *, units: str | None = None, probing: bool = False, data: b
             not facts.damaged or not wrong
         )  # damage elsewhere than in the shape is kept as it is
         source = StepEntities.of(reader.ChangeReader(), data) if sound else None
+        if source is not None:
+            keep_file_trims(shapes, source, own=facts.own)
     return OcctPart(document, path, "step", unit, warnings=warnings, schema=facts.schema, source=source,
-                    relabelled=factor != 1.0, names=names)  # fmt: skip
+                    unit_factor=factor, names=names)  # fmt: skip
 
 
 def _content(path: Path) -> bytes:
@@ -240,7 +246,10 @@ def text_of(part: OcctPart, name: str) -> bytes:
     for mode in ("Name", "Color", "Layer", "Material"):
         getattr(writer, f"Set{mode}Mode")(True)
     writer.SetPropsMode(not part.sculpted)  # areas and volumes of the sender are no longer true
-    if not writer.Transfer(part.document, STEPControl_StepModelType.STEPControl_AsIs):
+    take_back = bounded(face.shape for face in map(part.face, range(1, len(part.faces) + 1)))
+    done = writer.Transfer(part.document, STEPControl_StepModelType.STEPControl_AsIs)
+    take_back()
+    if not done:
         raise InputError("the CAD kernel cannot write the part as STEP", where=str(part.path))
     model = writer.ChangeWriter().Model()
     header = APIHeaderSection_MakeHeader(model)
@@ -249,7 +258,7 @@ def text_of(part: OcctPart, name: str) -> bytes:
     header.SetAuthorValue(1, TCollection_HAsciiString(""))
     header.SetOrganizationValue(1, TCollection_HAsciiString(""))
     header.SetPreprocessorVersion(TCollection_HAsciiString("Open CASCADE 8"))
-    header.SetOriginatingSystem(TCollection_HAsciiString(f"cadsculpt {__version__}"))
+    header.SetOriginatingSystem(TCollection_HAsciiString(f"{SYSTEM} {__version__}"))
     header.SetDescriptionValue(1, TCollection_HAsciiString("cadsculpt part"))
     sender = StepData_StepWriter(model)
     numbers = sender.FloatWriter()

@@ -17,6 +17,10 @@ REAL_FORMAT = "%.16E"
 TIME_STAMP = "2000-01-01T00:00:00"
 """The header's time: a clock would make every file different."""
 
+SYSTEM = "cadsculpt"
+"""The originating system that the header names."""
+
+_OWN = re.compile(rb"FILE_NAME\s*\([^;]*'%s [^']*'" % SYSTEM.encode())
 _REAL = re.compile(rb"'(?:[^']|'')*'|-?\d\.\d{16}E[+-]\d+")
 _OCCURRENCE = re.compile(rb"= NEXT_ASSEMBLY_USAGE_OCCURRENCE\('\d+'(,(?:[^';]|'(?:[^']|'')*')*;)")
 _SPACE = re.compile(rb"'(?:[^']|'')*'|\s+")
@@ -45,6 +49,8 @@ class StepFacts:
     """The file ends as a STEP file should."""
     damaged: int
     """Entities whose brackets or quotes do not close, or that refer to an entity that is not there."""
+    own: bool
+    """cadsculpt wrote it, so that its trim curves are bounded where their edges end."""
 
 
 def facts_of(data: bytes) -> StepFacts:
@@ -56,7 +62,9 @@ def facts_of(data: bytes) -> StepFacts:
     elif b"CONFIG_CONTROL_DESIGN" in head:
         schema = "AP203"
     faces = len(re.findall(rb"=\s*(?:ADVANCED_FACE|FACE_SURFACE)\s*\(", data))
-    return StepFacts(schema, faces, b"END-ISO-10303-21" in data[-4000:], _damaged(data))
+    return StepFacts(
+        schema, faces, b"END-ISO-10303-21" in data[-4000:], _damaged(data), _OWN.search(data[:20000]) is not None
+    )
 
 
 def _damaged(data: bytes) -> int:

@@ -17,6 +17,7 @@ _MEASURE = re.compile(
     re.IGNORECASE,
 )
 REPRESENTATION_CONTEXT = "GLOBAL_UNIT_ASSIGNED_CONTEXT"
+UNCERTAINTY_CONTEXT = "GLOBAL_UNCERTAINTY_ASSIGNED_CONTEXT"
 
 
 def measure(body: bytes) -> float | None:
@@ -76,15 +77,29 @@ def millimetres_at(records: StepRecords, number: int) -> float | None:
     return factors.pop() if len(factors) == 1 else None
 
 
+def tolerance_at(records: StepRecords, number: int) -> float | None:
+    """The distance that the representation of a geometric record calls exact, mm; the smallest where it is in several, the
+    largest of the uncertainties of one; None when none says."""
+    found = []
+    for context in contexts_above(records, number):
+        stated = _references_of(records.arguments(context, UNCERTAINTY_CONTEXT))
+        values = [value for n in stated if (value := _uncertainty(records, n)) is not None]
+        if values:
+            found.append(max(values))
+    return min(found, default=None)
+
+
+def _uncertainty(records: StepRecords, number: int) -> float | None:
+    """An UNCERTAINTY_MEASURE_WITH_UNIT in mm; None where it is no length."""
+    value = measure(records.body(number))
+    factors = [millimetres(records, unit) for unit in records.references(number)]
+    return value * factors[0] if value is not None and factors and factors[0] is not None else None
+
+
 def tolerance(records: StepRecords) -> float | None:
     """The distance that the file calls exact, mm: the largest of its UNCERTAINTY_MEASURE_WITH_UNIT; None without any."""
-    found = []
-    for number in records.of_type("UNCERTAINTY_MEASURE_WITH_UNIT"):
-        value = measure(records.body(number))
-        factors = [millimetres(records, unit) for unit in records.references(number)]
-        if value is not None and factors and factors[0] is not None:
-            found.append(value * factors[0])
-    return max(found, default=None)
+    every = [_uncertainty(records, number) for number in records.of_type("UNCERTAINTY_MEASURE_WITH_UNIT")]
+    return max((value for value in every if value is not None), default=None)
 
 
 def coordinates(records: StepRecords, point: int) -> list[float]:

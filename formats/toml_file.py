@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SceneError
+from .cut_off import unended
 
 Place = tuple[str | int, ...]
 
@@ -28,11 +29,15 @@ _SCALAR = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class TomlFile:
-    """path : as the user wrote it. data : the values. lines : the line, from 1, of each key and list item."""
+    """path : as the user wrote it. data : the values. lines : the line, from 1, of each key and list item.
+
+    warnings : what the text itself gives to say.
+    """
 
     path: Path
     data: dict[str, Any]
     lines: dict[Place, int]
+    warnings: tuple[str, ...] = ()
 
     def line(self, place: Place) -> int:
         """The line of a place, or of the nearest table around it; 1 for the file as a whole."""
@@ -71,7 +76,7 @@ def parse(text: str, path: Path) -> TomlFile:
         raise SceneError([_syntax_fault(str(error), text, path)]) from None
     except RecursionError:
         raise SceneError([f"{path}: is nested too deeply"]) from None
-    return TomlFile(path, data, _Scan(text).lines)
+    return TomlFile(path, data, _Scan(text).lines, unended(text))
 
 
 def _syntax_fault(message: str, text: str, path: Path) -> str:

@@ -133,8 +133,7 @@ def four() -> list[SourceFace]:
 
 def test_seams_are_found_point_by_point():
     for faces in (two(), four()):
-        session = session_of(faces, 4.0)
-        seams = seams_of(session.model.patches)
+        seams = seams_of(faces)
         assert len(seams) == (1 if len(faces) == 2 else 4)
         for seam in seams:
             a, b = faces[seam.a].surface, faces[seam.b].surface
@@ -142,9 +141,9 @@ def test_seams_are_found_point_by_point():
             assert len(seam.uv_a) >= 200
             assert seam.tolerance == pytest.approx(max(1e-7 * max(a.size, b.size), 1e-7))
             assert seam.rest_angle < 1e-6
-    corners = corners_of(session.model.patches)
+    corners = corners_of(faces)
     assert max(len(corner.places) for corner in corners) == 4
-    assert sorted(in_turn(session.model.patches, seams)) == [0, 1, 2, 3]
+    assert sorted(in_turn(faces, seams)) == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("make", [two, four])
@@ -230,6 +229,52 @@ def test_a_rational_follower_takes_the_same_curve():
     exported = export_fit(session)
     assert exported.seam_max_gap <= 1e-12
     assert exported.seams[0].angle <= 0.1
+
+
+def three() -> list[SourceFace]:
+    """A hexagon of three quadrilaterals around the corner (20, 20): no edge runs on into another there."""
+    centre = np.array([20.0, 20.0])
+    ring = [centre + 20 * np.array([np.cos(a), np.sin(a)]) for a in np.radians(np.arange(0, 360, 60))]
+    beside = {"a": {"v0": "c", "u0": "b"}, "b": {"v0": "a", "u0": "c"}, "c": {"v0": "b", "u0": "a"}}
+    faces = []
+    for k, name in enumerate("abc"):
+        p, q, r = (ring[(2 * k + i) % 6] for i in range(3))
+
+        def place(x: Array, y: Array, p: Array = p, q: Array = q, r: Array = r) -> Array:
+            s, t = x[..., None] / 20, y[..., None] / 20
+            xy = (1 - s) * (1 - t) * centre + s * (1 - t) * p + s * t * q + (1 - s) * t * r
+            return np.concatenate([xy, 0 * xy[..., :1]], axis=-1)
+
+        surface = sheet(name, place, (0, 20), (0, 20), (6 + k, 7 - k))
+        neighbours = {side: (other,) for side, other in beside[name].items()}
+        faces.append(SourceFace(k + 1, name, surface, sides(surface, neighbours)))
+    return faces
+
+
+@pytest.mark.parametrize(("make", "at"), [(three, (20.5, 19.0)), (four, (22.0, 18.0))])
+def test_tangent_faces_stay_tangent_up_to_their_corner(make, at):
+    """Angles of the normals across every seam, closer and closer to the corner; the seams are closed there all the same."""
+    faces = make()
+    session = session_of(faces, continuity="G1")
+    push(session, dent(at, 3.0, 1.5))
+    exported = export_fit(session)
+    assert [face.outcome for face in exported.faces] == ["within"] * len(faces)
+    surfaces = [face.surface for face in exported.faces]
+    met = 0
+    for seam in seams_of(faces):
+        ends = faces[seam.a].surface.evaluate(*seam.uv_a[[0, -1]].T)[:, :2]
+        order = slice(None, None, 1 if np.linalg.norm(ends[0] - 20) < np.linalg.norm(ends[1] - 20) else -1)
+        way = np.linspace(0, 1, len(seam.uv_a))
+        near = np.concatenate([[0.0], np.geomspace(1e-6, 1.0, 400)])
+        uv = [np.stack([np.interp(near, way, x[order, k]) for k in (0, 1)], axis=1) for x in (seam.uv_a, seam.uv_b)]
+        a, b = (surfaces[i].normal(*x.T) for i, x in zip((seam.a, seam.b), uv, strict=True))
+        turned = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.abs(np.einsum("nc,nc->n", a, b))))
+        assert seam.rest_angle <= 1e-5
+        assert turned.max() <= 0.1
+        gaps = np.linalg.norm(surfaces[seam.a].evaluate(*uv[0].T) - surfaces[seam.b].evaluate(*uv[1].T), axis=1)
+        assert gaps.max() <= 1e-12
+        met += 1
+    assert met == len(faces)
 
 
 def wavy(t: Array) -> Array:

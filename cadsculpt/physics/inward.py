@@ -2,7 +2,8 @@
 
 Below a smooth surface that is against the normal. Where the surface turns sharper than the material is thick, the normals
 cross inside it and the lattice would fold; and at a cusp there is no normal. There the directions are smoothed: diffused
-along the surface over a reach that grows until the lattice stands.
+along the surface over a reach that grows until the lattice stands. On a crease the normal is that of one side alone; where
+several creases meet in a corner, as of a box, the mean of all sides is where the smoothing starts.
 """
 
 from __future__ import annotations
@@ -31,15 +32,42 @@ def inward_directions(
     """
     inward = -_filled(points, normals, wrap)
     columns = np.ones((len(u) - (not wrap[0]), len(v) - (not wrap[1])), dtype=np.bool_)
-    smooth = inward
-    for attempt in range(ATTEMPTS):
-        try:
-            check_folds(points, smooth, u, v, (MARGIN if attempt else 1.0) * thickness, wrap, columns)
-        except InputError:
-            smooth = _smoothed(points, inward, 0.5 * thickness * 2.0**attempt, wrap)
-        else:
-            return smooth
+    for start in (inward, _of_all_sides(points, inward, wrap)):
+        smooth = start
+        for attempt in range(ATTEMPTS):
+            try:
+                check_folds(points, smooth, u, v, (MARGIN if attempt else 1.0) * thickness, wrap, columns)
+            except InputError:
+                smooth = _smoothed(points, start, 0.5 * thickness * 2.0**attempt, wrap)
+            else:
+                return smooth
     return inward
+
+
+def _of_all_sides(points: Array, inward: Array, wrap: tuple[bool, bool]) -> Array:
+    """The mean of the normals of the four cells around each node, on the side of the directions that are known."""
+    total = np.zeros_like(points)
+    for i, j in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        du, there = _to_neighbour(points, 0, i, wrap=wrap[0])
+        dv, here = _to_neighbour(points, 1, j, wrap=wrap[1])
+        normal = i * j * np.cross(du, dv)
+        length = np.linalg.norm(normal, axis=2, keepdims=True)
+        counts = (there & here)[..., None] & (length > 0.0)
+        total += np.where(counts, normal / np.where(length > 0.0, length, 1.0), 0.0)
+    total *= np.sign(np.einsum("ijc,ijc->", total, inward))
+    length = np.linalg.norm(total, axis=2, keepdims=True)
+    return np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), inward)
+
+
+def _to_neighbour(points: Array, axis: int, step: int, *, wrap: bool) -> tuple[Array, NDArray[np.bool_]]:
+    """From each node to the next along an axis, or the one before (`step` -1); and which nodes have such a neighbour."""
+    way = np.roll(points, -step, axis=axis) - points
+    known = np.ones(points.shape[:2], dtype=np.bool_)
+    if not wrap:
+        last = [slice(None), slice(None)]
+        last[axis] = slice(-1, None) if step == 1 else slice(0, 1)
+        known[tuple(last)] = False
+    return way, known
 
 
 def _filled(points: Array, normals: Array, wrap: tuple[bool, bool]) -> Array:

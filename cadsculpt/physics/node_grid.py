@@ -31,6 +31,9 @@ MOST_NODES = 400_000
 """Nodes on one patch's surface; above this a lattice takes minutes a step and the spacing is surely a slip."""
 
 
+HALVINGS = 6
+"""Times that cells are halved for the nodes to determine the net."""
+
 STRIDES = (1, 2, 3, 4, 6, 8)
 """Nodes per inserted knot, tried in this order until the net has few enough control points and is determined."""
 
@@ -215,12 +218,18 @@ def _is_determined(knots: Array, degree: int, t: Array, slivers: list[Span], *, 
 
 
 def _determined(knots: Array, degree: int, t: Array, slivers: list[Span], *, periodic: bool) -> Array:
-    """The nodes t, with cells halved until they determine the net."""
-    for _ in range(6):
+    """The nodes t, with cells halved until they determine the net. Raises GeometryError when they never do: where knots stand
+    by the hundred in less than a cell, what lies between the nodes is not known."""
+    for _ in range(HALVINGS + 1):
         if _is_determined(knots, degree, t, slivers, periodic=periodic):
-            break
+            return t
         t = np.sort(np.concatenate([t, 0.5 * (t[1:] + t[:-1])]))
-    return t
+    gaps = np.diff(breakpoints(knots, degree))
+    raise GeometryError(
+        f"its {len(gaps)} knot spans in one direction are so uneven, the longest {gaps.max() / gaps.min():.0e} times the "
+        "shortest, that no nodes determine its control points",
+        mend="remove the knots that do nothing: rebuild or simplify the surface in the CAD system",
+    )
 
 
 def _mean_arc_length(

@@ -19,7 +19,7 @@ from ..errors import GeometryError
 from .between import between_nodes
 from .matrices import breakpoints, design_matrix
 from .net_fit import SINGULAR, Constraint, NetFit, NodeField, fit_net, project
-from .refine import insert_knots
+from .refine import SAME_KNOT, insert_knots
 from .refit import RefitError
 from .surface import BSplineSurface
 
@@ -118,7 +118,7 @@ def _others(
     found = []
     for new, there, (low, high) in zip(start, kept, domain, strict=True):
         away = np.abs(new[:, None] - there).min(axis=1, initial=np.inf)
-        found.append(new[away > 1e-9 * (high - low)])
+        found.append(new[away > SAME_KNOT * (high - low)])
     return found[0], found[1]
 
 
@@ -255,7 +255,10 @@ class _Search:
         borders = breakpoints((net.knots_u, net.knots_v)[axis], (net.degree_u, net.degree_v)[axis])
         nodes = (self.nodes.u, self.nodes.v)[axis]
         span = np.clip(np.searchsorted(borders, t, side="right") - 1, 0, len(borders) - 2)
-        room = [nodes[(nodes > a) & (nodes < b)] for a, b in zip(borders[:-1], borders[1:], strict=True)]
+        slack = SAME_KNOT * (borders[-1] - borders[0])
+        room = [
+            nodes[(nodes > a + slack) & (nodes < b - slack)] for a, b in zip(borders[:-1], borders[1:], strict=True)
+        ]
         for k in np.unique(span[most > 0.0]):
             size = float(most[span == k].max())
             if not len(room[k]):
@@ -345,11 +348,17 @@ class _Search:
                 return
             _, axis, a, b = pairs[0]
             tried.add((axis, a, b))
-            merged = np.sort(np.append(np.setdiff1d(self.knots[axis], [a, b]), 0.5 * (a + b)))
+            middle, slack = 0.5 * (a + b), SAME_KNOT * float(np.diff(self.surface.domain[axis])[0])
+            if np.abs(self._net_knots(axis) - middle).min() <= slack:
+                continue
+            merged = np.sort(np.append(np.setdiff1d(self.knots[axis], [a, b]), middle))
             trial = (merged, self.knots[1]) if axis == 0 else (self.knots[0], merged)
             fit = self._tried(trial)
             if fit is not None and self._holds(fit):
                 self._take(trial, fit)
+
+    def _net_knots(self, axis: int) -> Array:
+        return (self.fit.surface.knots_u, self.fit.surface.knots_v)[axis]
 
     def _holds(self, fit: NetFit) -> bool:
         distance = np.linalg.norm(fit.residual, axis=2)

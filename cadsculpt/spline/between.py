@@ -6,6 +6,7 @@ either may be wrong: the displacement is known to within that difference.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -33,10 +34,11 @@ def between_nodes(fit: NetFit, field: NodeField) -> float:
     return float(np.maximum(away[whole], 0.0).max(initial=0.0))
 
 
-def denser(field: NodeField, domain: tuple[Span, Span]) -> NodeField:
-    """The field with a node more in the middle of each cell, on the bicubic interpolation; it counts for nothing."""
+def denser(field: NodeField, domain: tuple[Span, Span], axes: Iterable[int] = (0, 1)) -> NodeField:
+    """The field with a node more in the middle between any two along the axes, on the bicubic interpolation; these count for
+    nothing."""
     moved, counted, grid = field.displacement, field.counted, [field.u, field.v]
-    for axis in (0, 1):
+    for axis in sorted(axes):
         places, _, cubic = _middles(grid[axis], domain[axis], closed=field.closed[axis])
         moved = np.moveaxis(np.tensordot(cubic, np.moveaxis(moved, axis, 0), axes=1), 0, axis)
         own = np.isin(places, grid[axis])

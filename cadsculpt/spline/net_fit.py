@@ -88,14 +88,16 @@ class NodeField:
         return np.einsum("mnc,mnc->mn", self.displacement, self.displacement) > threshold**2
 
 
-def still_sides(surface: BSplineSurface, field: NodeField, threshold: float) -> list[Array]:
-    """The sides of the domain, as chains uv (2, 2), on which there are nodes and none moved by more than the threshold."""
+def still_sides(surface: BSplineSurface, field: NodeField, threshold: float, depth: int = 1) -> list[Array]:
+    """The sides of the domain, as chains uv (2, 2), on which there are nodes, of which none moved by more than the threshold,
+    nor any in the first `depth` rows."""
     moved, corners = field.moved(threshold), np.array(surface.domain)
     found = []
     for axis in (0, 1):
         t = (field.u, field.v)[axis]
-        for end, index in ((0, 0), (1, -1)):
-            if field.closed[axis] or t[index] != corners[axis, end] or moved.take(index, axis).any():
+        for end, rows in ((0, range(depth)), (1, range(-depth, 0))):
+            index = 0 if end == 0 else -1
+            if field.closed[axis] or t[index] != corners[axis, end] or moved.take(rows, axis, mode="wrap").any():
                 continue
             side = corners.T.copy()
             side[:, axis] = corners[axis, end]

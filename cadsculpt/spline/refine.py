@@ -12,6 +12,9 @@ from .surface import BSplineSurface
 
 Array = NDArray[np.float64]
 
+SAME_KNOT = 1e-9
+"""Knots this near, as a part of the domain, are one knot: what passing through another face's parameters costs."""
+
 
 def insert_knots(surface: BSplineSurface, knots_u: ArrayLike = (), knots_v: ArrayLike = ()) -> BSplineSurface:
     """The same surface with these knots added; parametrisation and shape stay, to rounding.

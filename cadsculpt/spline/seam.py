@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,22 +13,39 @@ from .surface import BSplineSurface
 
 Array = NDArray[np.float64]
 
-POINTS = 256
+POINTS = 1024
 """Places along a seam where its two sides are compared, at least."""
 
 MEETING = 1e-4
 """Two edges are one when they run within this part of the faces' size of each other."""
 
+POLE = 1e-6
+"""A direction in which the whole domain would be shorter than this part of the surface's size is none."""
+
 RELATIVE = 1e-7
 """How far apart two faces may be along their common edge when their file says nothing, as a part of their size."""
+
+
+Source = Literal["file", "edge", "size", "scene"]
+"""Who says how far apart two faces may be: the file of all its geometry, an edge of its own, nobody (a part of the faces'
+size), or the scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """How far apart two faces may be along their common edge, and who says so."""
+
+    tolerance: float
+    source: Source = "size"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seam:
     """The common edge of faces a and b (of one face with itself: a == b).
 
-    uv_a, uv_b (n, 2) : the same points in space on either face, in order along the edge. tolerance : how far apart the file
-    lets them be. rest_gap : how far apart they are as read. rest_angle : largest angle of the normals there, degrees.
+    uv_a, uv_b (n, 2) : the same points in space on either face, in order along the edge. tolerance : how far apart they may
+    be. source : who says so. rest_gap : how far apart they are as read. rest_angle : largest angle of the normals there,
+    degrees.
     """
 
     a: int
@@ -37,6 +55,7 @@ class Seam:
     tolerance: float
     rest_gap: float
     rest_angle: float
+    source: Source = "size"
 
     def swapped(self) -> Seam:
         """The same seam seen from face b."""
@@ -44,7 +63,7 @@ class Seam:
 
     @property
     def allowed(self) -> float:
-        """The gap that the file as read has or allows."""
+        """The gap that it has as read or may have."""
         return max(self.tolerance, self.rest_gap)
 
 
@@ -55,7 +74,7 @@ def seam_of(
     b: int,
     surface_b: BSplineSurface,
     edges_b: Sequence[Array],
-    tolerance: float = 0.0,
+    bound: Bound | None = None,
 ) -> Seam | None:
     """The seam along edge_a (n, 2) of face a and the one of the edges of face b that it runs along; None if none does."""
     size = max(surface_a.size, surface_b.size)
@@ -69,22 +88,23 @@ def seam_of(
         # chords of a curved edge leave it: only the file's own places must be there
         off = float(np.linalg.norm(surface_b.evaluate(*start.T) - points, axis=1).max())
         if away[own].max() <= MEETING * size and off <= 0.05 * size and (best is None or off < best[0]):
-            near = away <= max(2.0 * float(away[own].max()), RELATIVE * size, tolerance)
+            near = away <= max(2.0 * float(away[own].max()), RELATIVE * size, bound.tolerance if bound else 0.0)
             best = off, edge[near], uv[near]
     if best is None:
         return None
-    tolerance = max(tolerance, RELATIVE * size)
-    seam = Seam(a, b, best[1], best[2], tolerance, 0.0, 0.0)
+    bound = bound or Bound(RELATIVE * size)
+    seam = Seam(a, b, best[1], best[2], bound.tolerance, 0.0, 0.0, bound.source)
     return replace(seam, rest_gap=gap(seam, surface_a, surface_b), rest_angle=angle(seam, surface_a, surface_b))
 
 
-def own_seam(number: int, surface: BSplineSurface, axis: int, tolerance: float = 0.0) -> Seam:
+def own_seam(number: int, surface: BSplineSurface, axis: int, bound: Bound | None = None) -> Seam:
     """The seam of a surface that is closed along `axis`."""
     low, high = surface.domain[axis]
     along = np.linspace(*surface.domain[1 - axis], POINTS + 1)
     sides = [np.stack([np.full(len(along), t), along], axis=1) for t in (low, high)]
     a, b = sides if axis == 0 else [side[:, ::-1] for side in sides]
-    seam = Seam(number, number, a, b, max(tolerance, RELATIVE * surface.size), 0.0, 0.0)
+    bound = bound or Bound(RELATIVE * surface.size)
+    seam = Seam(number, number, a, b, bound.tolerance, 0.0, 0.0, bound.source)
     return replace(seam, rest_gap=gap(seam, surface, surface), rest_angle=angle(seam, surface, surface))
 
 
@@ -95,11 +115,20 @@ def gap(seam: Seam, surface_a: BSplineSurface, surface_b: BSplineSurface) -> flo
 
 def angle(seam: Seam, surface_a: BSplineSurface, surface_b: BSplineSurface) -> float:
     """Largest angle, in degrees, between the two sides' tangent planes at the seam's points; poles left out."""
-    a, b = surface_a.normal(*seam.uv_a.T), surface_b.normal(*seam.uv_b.T)
+    plain = _plain(surface_a, seam.uv_a) & _plain(surface_b, seam.uv_b)
+    a, b = surface_a.normal(*seam.uv_a[plain].T), surface_b.normal(*seam.uv_b[plain].T)
     sine = np.linalg.norm(np.cross(a, b), axis=1)
     turned = np.degrees(np.arctan2(sine, np.abs(np.einsum("nc,nc->n", a, b))))
     turned = turned[np.isfinite(turned)]
     return float(turned.max(initial=0.0))
+
+
+def _plain(surface: BSplineSurface, uv: Array) -> NDArray[np.bool_]:
+    """Where a surface has two directions: not at a pole, where the normal is one of rounding."""
+    jet = surface.derivatives(uv[:, 0], uv[:, 1], 1)
+    reach = np.diff(np.array(surface.domain), axis=1)[:, 0]
+    lengths = [np.linalg.norm(slope, axis=1) * r for slope, r in zip((jet[1, 0], jet[0, 1]), reach, strict=True)]
+    return np.asarray(np.minimum(*lengths) > POLE * surface.size)
 
 
 def closest(surface: BSplineSurface, points: Array, start: Array, rounds: int = 20) -> Array:

@@ -85,9 +85,11 @@ def _image(geom: Geom_Surface, curve: Geom2d_Curve, first: float, last: float) -
     nudge = _NUDGE * (last - first)
 
     def evaluate(t: Array, side: int) -> Array:
-        place = np.clip(t + side * nudge, first, last)
-        trim = trim_derivatives(curve, place)
-        out = np.empty((len(t), 3, 3))
+        out = np.zeros((len(t), 3, 3))
+        out[:, 0] = sample_surface(geom, sample_trim(curve, t))
+        if side == 0:
+            return out
+        trim = trim_derivatives(curve, np.clip(t + side * nudge, first, last))
         p, su, sv, suu, svv, suv = gp_Pnt(), gp_Vec(), gp_Vec(), gp_Vec(), gp_Vec(), gp_Vec()
         for i in range(len(t)):
             (u, v), (du, dv), (ddu, ddv) = trim[i].tolist()
@@ -97,7 +99,6 @@ def _image(geom: Geom_Surface, curve: Geom2d_Curve, first: float, last: float) -
             s_uv = np.array([suv.X(), suv.Y(), suv.Z()])
             out[i, 1] = s_u * du + s_v * dv
             out[i, 2] = s_uu * du * du + 2 * s_uv * du * dv + s_vv * dv * dv + s_u * ddu + s_v * ddv
-        out[:, 0] = sample_surface(geom, sample_trim(curve, t))
         return out
 
     return evaluate

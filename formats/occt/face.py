@@ -41,7 +41,8 @@ class OcctFace(Face):
     """A face of an `OcctPart`.
 
     shape : the kernel's face, placed and oriented as it stands in the part. neighbours : numbers of the faces on an edge.
-    compare_area : told the number, the area and the kernel's own area, once the area is known.
+    compare_area : told the number, the area and the kernel's own area, once the area is known. beside : gives the face's edges
+    the neighbours that the kernel does not know of.
     """
 
     def __init__(
@@ -52,12 +53,14 @@ class OcctFace(Face):
         provenance: Provenance,
         neighbours: Callable[[TopoDS_Edge], tuple[int, ...]],
         compare_area: Callable[[int, float, float], None],
+        beside: Callable[[int, Sequence[FaceEdge]], Sequence[FaceEdge]] = lambda number, edges: edges,
     ) -> None:
         self.shape = shape
         self.number = number
         self.name = name
         self.provenance = provenance
         self._neighbours = neighbours
+        self._beside = beside
         self._compare_area = compare_area
         self._kept: dict[str, Any] = {}
 
@@ -232,6 +235,10 @@ class OcctFace(Face):
 
     @property
     def edges(self) -> Sequence[FaceEdge]:
+        return self._beside(self.number, self.own_edges())
+
+    def own_edges(self) -> Sequence[FaceEdge]:
+        """The edges with the neighbours that the kernel knows of."""
         return self._once("edges", self._sample_edges)  # type: ignore[no-any-return]
 
     def _sample_edges(self) -> tuple[FaceEdge, ...]:

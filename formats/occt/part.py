@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,10 +20,11 @@ from OCP.TopoDS import TopoDS_Compound, TopoDS_Edge, TopoDS_Face, TopoDS_Shape
 from ...errors import InputError
 from ...spline.surface import BSplineSurface, Provenance
 from ...units import unit_name
-from ..part import Faces, Instance, Part, Validity
+from ..part import FaceEdge, Faces, Instance, Part, Validity
 from . import document as occt_document
 from .face import OcctFace
 from .follow import Moved
+from .loose import LooseEdges
 from .moments import Moments, moments_of
 from .quiet import quiet
 from .validity import validity_of
@@ -44,7 +46,7 @@ class OcctPart(Part):
 
     `schema` is the application protocol of a STEP file ("AP203", "AP214IS", "AP242DIS"), "" otherwise. `source` are a STEP
     file's records and which of them the shapes came from; None where the file's text cannot be written again.
-    `relabelled`: its numbers were taken in another unit than it says.
+    `unit_factor`: how many of the units that it says one is in which its numbers were taken.
     """
 
     def __init__(
@@ -57,7 +59,7 @@ class OcctPart(Part):
         warnings: Sequence[str] = (),
         schema: str = "",
         source: StepEntities | None = None,
-        relabelled: bool = False,
+        unit_factor: float = 1.0,
         names: occt_document.FaceNames | None = None,
     ) -> None:
         self.document = document
@@ -74,26 +76,38 @@ class OcctPart(Part):
             found = list(occt_document.faces_in(self.shape))
             self._own_names = [names.of(face) for face in found]
             unique = _unique_names(self._own_names)
-        self.faces = Faces(
-            [
-                OcctFace(face, n, name, Provenance(path.name, name, units), self._number.faces_on, self._compare_area)
-                for n, (face, name) in enumerate(zip(found, unique, strict=True), 1)
-            ],
-            str(path),
-            lambda: self.instances,
-        )
+        faces = [
+            OcctFace(
+                face,
+                n,
+                name,
+                Provenance(path.name, name, units),
+                self._number.faces_on,
+                self._compare_area,
+                self._beside,
+            )
+            for n, (face, name) in enumerate(zip(found, unique, strict=True), 1)
+        ]
+        self._loose = LooseEdges([(face.number, face.own_edges) for face in faces], self._number.any_shared)
+        self.faces = Faces(faces, str(path), lambda: self.instances)
         self._number.count(found)
         self._instances: tuple[Instance, ...] | None = None
+        self._places: dict[int, tuple[int, ...]] | None = None
         self._as_read: Validity | None = None
         self._areas: dict[int, tuple[float, float]] = {}
         self.source = source
-        self.relabelled = relabelled
+        self.unit_factor = unit_factor
         self.sculpted: set[int] = set()
         """Numbers of the faces that were sculpted."""
         self.before: dict[int, Moments] = {}
         """What the sculpted faces added to the part before."""
         self.moved = Moved()
         """The edges and vertices that followed them."""
+
+    @property
+    def relabelled(self) -> bool:
+        """Whether its numbers were taken in another unit than it says."""
+        return self.unit_factor != 1.0
 
     @property
     def instances(self) -> Sequence[Instance]:
@@ -108,7 +122,16 @@ class OcctPart(Part):
 
         return separated(self, self.source, instances)
 
-    @property
+    def twins(self, number: int) -> tuple[int, ...]:
+        if self._places is None:
+            shapes = [self.face(face.number).shape.TShape() for face in self.faces]
+            by_shape: dict[int, list[int]] = {}
+            for n, shape in enumerate(shapes, 1):
+                by_shape.setdefault(id(shape), []).append(n)
+            self._places = {n: tuple(group) for group in by_shape.values() for n in group}
+        return tuple(n for n in self._places[number] if n != number)
+
+    @cached_property
     def extent(self) -> float:
         box, close = Bnd_Box(), Bnd_Box()
         with quiet():
@@ -124,6 +147,15 @@ class OcctPart(Part):
         from ..step_units import tolerance
 
         return None if self.source is None else tolerance(self.source.records)
+
+    def tolerance_of(self, number: int) -> float | None:
+        from ..step_units import tolerance_at
+
+        if self.source is None:
+            return None
+        record = self.source.of_shape(self.face(number).shape)
+        found = tolerance_at(self.source.records, record) if record else None
+        return None if found is None else found * self.unit_factor
 
     @property
     def recorded_area(self) -> tuple[float, float] | None:
@@ -181,6 +213,9 @@ class OcctPart(Part):
 
             write_part(self, path, format)
 
+    def _beside(self, number: int, edges: Sequence[FaceEdge]) -> Sequence[FaceEdge]:
+        return self._loose.beside(number, edges)
+
     def _compare_area(self, number: int, area: float, kernel: float) -> None:
         """Say in one line of the warnings where the kernel's own quadrature gives another area than ours."""
         self._areas[number] = (area, kernel)
@@ -229,14 +264,25 @@ class _Numbers:
 
     def faces_on(self, edge: TopoDS_Edge) -> tuple[int, ...]:
         """Numbers of the faces that an edge bounds, ascending."""
+        known = self._edges()
+        if not known.Contains(edge):
+            return ()
+        return tuple(sorted({self.number(face) for face in known.FindFromKey(edge)} - {0}))
+
+    def any_shared(self) -> bool:
+        """Whether any edge bounds two faces."""
+        known = self._edges()
+        return any(
+            len({self.number(face) for face in known.FindFromIndex(i)} - {0}) > 1 for i in range(1, known.Extent() + 1)
+        )
+
+    def _edges(self) -> IndexedDataMap_TopoDS_Shape_List_TopoDS_Shape_TopTools_ShapeMapHasher:
         if self._on_edge is None:
             self._on_edge = IndexedDataMap_TopoDS_Shape_List_TopoDS_Shape_TopTools_ShapeMapHasher()
             TopExp.MapShapesAndAncestors_s(
                 self._shape, TopAbs_ShapeEnum.TopAbs_EDGE, TopAbs_ShapeEnum.TopAbs_FACE, self._on_edge
             )
-        if not self._on_edge.Contains(edge):
-            return ()
-        return tuple(sorted({self.number(face) for face in self._on_edge.FindFromKey(edge)} - {0}))
+        return self._on_edge
 
 
 def _compound(shapes: Sequence[TopoDS_Shape]) -> TopoDS_Compound:

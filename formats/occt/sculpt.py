@@ -52,12 +52,12 @@ def sculpt(part: OcctPart, surfaces: Mapping[int, BSplineSurface]) -> Moved:
     geoms = [face.geom if placement(face.shape)[0] is not None else None for face in every]
     chosen = _one_per_shape(faces, surfaces, shapes)
     for number in chosen:
-        twins = [i + 1 for i, shape in enumerate(shapes) if shape is shapes[number - 1] and i + 1 != number]
+        twins = part.twins(number)
         if twins:
             others = ", ".join(map(str, twins[:6])) + (", ..." if len(twins) > 6 else "")
             part.warnings.append(
                 f"face {number} is placed several times: its new shape shows in face {others} as well"
-                " (name its instance in the scene's instances to change one place)"
+                " (name its instance, in the scene's instances or with --instance, to change one place)"
             )
     before = Gaps([faces[number] for number in chosen])
     for number in chosen:
@@ -126,7 +126,7 @@ def _one_per_shape(
             raise InputError(
                 f"faces {same} and {number} are one face placed twice and cannot take two different shapes",
                 where=str(faces[number].provenance.file),
-                mend="sculpt one of them",
+                mend="name both places in the scene's instances, or with --instance, or sculpt one of them",
             )
     return chosen
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ...errors import InputError
 from ...scene_tool import PathOptions
+from ..cut_off import unended
 from . import apt, gcode, path_csv
 from .path_rows import ReadPath
 
@@ -25,18 +26,9 @@ def read(path: str | os.PathLike[str], units: str = "mm", options: PathOptions |
     if suffix in apt.SUFFIXES:
         return apt.read(path, units, options)
     if suffix in path_csv.SUFFIXES:
-        return ReadPath(path_csv.read(path), _cut_off(Path(path)))
+        return ReadPath(path_csv.read(path), unended(Path(path).read_bytes()))
     raise InputError(
         f"tool paths of kind {suffix or 'without suffix'!r} are not read",
         where=str(path),
         mend=f"the kinds that are read: {', '.join(SUFFIXES)}",
     )
-
-
-def _cut_off(path: Path) -> tuple[str, ...]:
-    """A warning where a table's last line has no end: nothing else tells that a file was cut off."""
-    with open(path, "rb") as file:
-        file.seek(0, os.SEEK_END)
-        file.seek(max(file.tell() - 1, 0))
-        last = file.read(1)
-    return () if last in (b"\n", b"\r") else ("its last line has no end: the file may have been cut off",)

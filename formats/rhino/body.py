@@ -16,6 +16,7 @@ from ..part import FaceEdge
 from .archive import BUFFER_VERSION
 from .brep import BOUNDARY_ISO, OUTER_LOOP, SEAM, SINGULAR, Brep, Trim, read_brep
 from .geometry import SurfaceForm, curve_of, encoded, moved, part_of_curve, surface_form, surface_of, trim_curve
+from .joins import without_joins
 from .nurbs import Nurbs
 
 Array = NDArray[np.float64]
@@ -27,7 +28,8 @@ class Place:
 
     record : its place in the file's object table; kind : brep, surface or extrusion; name : of its faces;
     scale : mm per unit of the file; placement : (4, 4) of the block it stands in, in the file's unit, or None;
-    block : the name of that block, "" outside blocks.
+    block : the name of that block, "" outside blocks; face_names, periodic : what the object's user text says of its faces
+    (`user_text`), empty where it says nothing.
     """
 
     record: int
@@ -38,6 +40,8 @@ class Place:
     scale: float
     placement: Array | None = None
     block: str = ""
+    face_names: tuple[str, ...] = ()
+    periodic: tuple[str, ...] = ()
 
 
 @dataclass(eq=False)
@@ -65,6 +69,8 @@ class Body:
     # -------------------------------------------------------------- surfaces
 
     def face_name(self, face: int) -> str:
+        if self.place.face_names:
+            return self.place.face_names[face]
         return self.place.name if len(self.brep.faces) == 1 else f"{self.place.name} face {face + 1}"
 
     def form(self, face: int) -> SurfaceForm:
@@ -80,7 +86,13 @@ class Body:
     def untrimmed(self, face: int) -> bool:
         """True when the face is its surface's whole domain: one loop along the domain's sides."""
         loops = [self.brep.loops[i] for i in self.brep.faces[face].loops]
-        return len(loops) == 1 and all(self.brep.trims[t].iso in BOUNDARY_ISO for t in loops[0].trims)
+        if len(loops) != 1 or not all(self.brep.trims[t].iso in BOUNDARY_ISO for t in loops[0].trims):
+            return False
+        for record in (self.brep.trims[t] for t in loops[0].trims):
+            chunk = self.brep.curves2[record.curve2]
+            if chunk is not None and without_joins(chunk, record.proxy, BUFFER_VERSION)[0] != chunk:
+                return False
+        return True
 
     def read_surface(self, face: int) -> BSplineSurface:
         """The surface of a face as it was read, mm."""
@@ -95,6 +107,7 @@ class Body:
                 name=self.face_name(face),
                 provenance=Provenance(self.place.file, entity, self.place.units),
                 trims=None if self.untrimmed(face) else self._loops(face),
+                periodic=self.place.periodic[face] if self.place.periodic else "",
             )
             self._surfaces[face] = surface
         return self._surfaces[face]
@@ -125,7 +138,8 @@ class Body:
             chunk = self.brep.curves2[record.curve2] if 0 <= record.curve2 < len(self.brep.curves2) else None
             if chunk is None:
                 raise InputError("a trim without a curve", where=self.place.name, mend="repair it in Rhino")
-            curve = trim_curve(part_of_curve(chunk, record.proxy), self.form(self.face_of_trim(record)).parameters)
+            own = part_of_curve(*without_joins(chunk, record.proxy, BUFFER_VERSION))
+            curve = trim_curve(own, self.form(self.face_of_trim(record)).parameters)
             self._trims[index] = reversed_trim(curve) if record.backward else curve
         return self._trims[index]
 

@@ -22,9 +22,9 @@ from .archive import ANONYMOUS, BREP, CLASS_DATA, Reader, Writer, class_chunk, c
 Array = NDArray[np.float64]
 R = TypeVar("R")
 
-OUTER_LOOP = 1
-SEAM, SINGULAR = 3, 4
-"""ON_BrepTrim::TYPE of a trim on both sides of a closed surface, and at a pole."""
+OUTER_LOOP, INNER_LOOP = 1, 2
+BOUNDARY, MATED, SEAM, SINGULAR = 1, 2, 3, 4
+"""ON_BrepTrim::TYPE of a trim on an edge of one face, of several, on both sides of a closed surface, and at a pole."""
 BOUNDARY_ISO = (3, 4, 5, 6)
 """ON_Surface::ISO: the trim lies on the west, south, east or north side of the surface's domain."""
 

@@ -21,6 +21,7 @@ from ...spline.surface import BSplineSurface, Provenance, TrimCurve, TrimLoop
 from ..curve_fit import fit_curve
 from .archive import BUFFER_VERSION, Reader, class_record
 from .nurbs import NURBS_CURVE, Nurbs, read_nurbs
+from .seam import with_copies, without_copies
 
 Array = NDArray[np.float64]
 
@@ -223,8 +224,12 @@ def surface_of(
     name: str,
     provenance: Provenance,
     trims: tuple[TrimLoop, ...] | None,
+    periodic: str = "",
 ) -> BSplineSurface:
-    """The surface in mm. `scale` turns the file's unit into mm, `placement` (4, 4) is in the file's unit."""
+    """The surface in mm. `scale` turns the file's unit into mm, `placement` (4, 4) is in the file's unit.
+
+    periodic : the directions that were written `without_copies`.
+    """
     points = nurbs.control_points()
     if points.shape[2] != 3:
         raise InputError(f"a surface in {points.shape[2]} dimensions", where=name)
@@ -232,18 +237,22 @@ def surface_of(
     weights = nurbs.weights()
     if weights is not None and np.all(weights == weights[0, 0]):
         weights = None
-    knots = nurbs.padded_knots(0), nurbs.padded_knots(1)
+    knots = [nurbs.padded_knots(0), nurbs.padded_knots(1)]
     whole = points if weights is None else np.concatenate([points, weights[..., None]], axis=2)
-    periodic = [periodic_flag(np.moveaxis(whole, axis, 0), knots[axis], nurbs.degrees[axis]) for axis in (0, 1)]
+    for axis, direction in enumerate("uv"):
+        if direction in periodic:
+            rows, knots[axis] = with_copies(np.moveaxis(whole, axis, 0), knots[axis], nurbs.degrees[axis])
+            whole = np.moveaxis(rows, 0, axis)
+    flags = [periodic_flag(np.moveaxis(whole, axis, 0), knots[axis], nurbs.degrees[axis]) for axis in (0, 1)]
     surface = BSplineSurface(
-        control_points=points,
+        control_points=np.ascontiguousarray(whole[..., :3]),
         knots_u=knots[0],
         knots_v=knots[1],
         degree_u=nurbs.degrees[0],
         degree_v=nurbs.degrees[1],
-        weights=weights,
-        periodic_u=periodic[0],
-        periodic_v=periodic[1],
+        weights=None if weights is None else np.ascontiguousarray(whole[..., 3]),
+        periodic_u=flags[0],
+        periodic_v=flags[1],
         outward=outward,
         trims=trims,
         name=name,
@@ -261,21 +270,21 @@ def nurbs_of_surface(
     `was` is the surface in mm that was read from `before`: control points that are still the same keep the archive's
     bits.
     """
-    points = moved(surface.control_points / scale, inverse(placement))
-    if before.rational:
-        weights = np.ones(surface.shape) if surface.weights is None else surface.weights
-        if surface.weights is None:
-            weights = weights * before.points[0, 0, -1]
+    whole, knots = without_copies(surface)
+    old, _ = without_copies(was)
+    points = moved(whole[..., :3] / scale, inverse(placement))
+    if before.rational or surface.weights is not None:
+        one = before.points[0, 0, -1] if before.rational else 1.0
+        weights = np.full(whole.shape[:2], one) if surface.weights is None else whole[..., 3]
         points = np.concatenate([points * weights[..., None], weights[..., None]], axis=2)
-    elif surface.weights is not None:
-        points = np.concatenate([points * surface.weights[..., None], surface.weights[..., None]], axis=2)
     if points.shape == before.points.shape:
-        same = (surface.control_points == was.control_points).all(axis=2)
+        same = (whole[..., :3] == old[..., :3]).all(axis=2)
         if surface.weights is not None and was.weights is not None:
-            same &= surface.weights == was.weights
+            same &= whole[..., 3] == old[..., 3]
         points[same] = before.points[same]
-    knots = (surface.knots_u[1:-1], surface.knots_v[1:-1])
-    return Nurbs(3, points.shape[2] == 4, (surface.degree_u, surface.degree_v), knots, points)
+    return Nurbs(
+        3, points.shape[2] == 4, (surface.degree_u, surface.degree_v), (knots[0][1:-1], knots[1][1:-1]), points
+    )
 
 
 def moved(points: Array, placement: Array | None) -> Array:

@@ -79,7 +79,7 @@ def nurbs_chunk(nurbs: Nurbs, version: int, after: bytes = b"") -> bytes:
     body.integers(*(degree + 1 for degree in nurbs.degrees))
     body.integers(*nurbs.points.shape[:-1])
     body.integers(0, 0)
-    body.reals(np.array(_EMPTY_BOX))
+    body.reals(np.array(EMPTY_BOX))
     for knots in nurbs.knots:
         body.integers(len(knots))
         body.reals(knots)
@@ -91,5 +91,5 @@ def nurbs_chunk(nurbs: Nurbs, version: int, after: bytes = b"") -> bytes:
     return class_chunk(NURBS_CURVE if curve else NURBS_SURFACE, body, after)
 
 
-_EMPTY_BOX = (1.0, 0.0, 0.0, -1.0, 0.0, 0.0)
+EMPTY_BOX = (1.0, 0.0, 0.0, -1.0, 0.0, 0.0)
 """How openNURBS writes the bounding box that nobody has computed."""

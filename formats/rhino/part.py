@@ -20,6 +20,7 @@ from .archive import archive_version, check_archive, object_records
 from .body import Body, Place
 from .geometry import library
 from .probe import ensure_survives
+from .user_text import face_names, periodic_faces
 
 if TYPE_CHECKING:
     from .shape import BodyShape
@@ -111,6 +112,10 @@ class RhinoPart(Part):
         self.warnings.append(f"the file has {why}: its numbers are taken as mm")
         return "", 1.0
 
+    @property
+    def tolerance(self) -> float | None:
+        return float(self._model.Settings.ModelAbsoluteTolerance) * self._scale
+
     def _read_bodies(self) -> list[Body]:
         things = list(self._model.Objects)
         records = self._records(things)
@@ -129,7 +134,20 @@ class RhinoPart(Part):
                 kind, brep = made
                 self._placements[records[i]] = self._placements.get(records[i], 0) + 1
                 name = _unique(self._object_name(things[i], i), taken)
-                place = Place(records[i], kind, name, self.path.name, self.units, self._scale, placement, block)
+                count = len(brep.Faces)
+                names, periodic = (read(things[i].Attributes, count) for read in (face_names, periodic_faces))
+                place = Place(
+                    record=records[i],
+                    kind=kind,
+                    name=name,
+                    file=self.path.name,
+                    units=self.units,
+                    scale=self._scale,
+                    placement=placement,
+                    block=block,
+                    face_names=names,
+                    periodic=periodic,
+                )
                 body = Body(place, brep, number)
                 try:
                     number += len(body.brep.faces)

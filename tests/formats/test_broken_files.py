@@ -70,6 +70,20 @@ MILLED = "%\nG21 G90 G17 F600\nG0 X0 Y0 Z5\nG1 Z-1.25\nG1 X10.5\nG2 X20.5 Y10 I0
 CLDATA = (
     "PARTNO/A\nUNITS/MM\nFEDRAT/600,MMPM\nGOTO/0,0,5\nGOTO/0,0,-1.25\nGOTO/10.5,0,-1.25\nGOTO/20.5,31.75,-1.25\nFINI\n"
 )
+TOOL = 'units = "mm"\ndescription = "an egg"\nshape = "ellipsoid"\nradii = [4.0, 4.5, 11.25]\n'
+SCENE = """units = "mm"
+[[model]]
+name = "panel"
+file = "made.toml"
+thickness = 4.125
+nodes = 2.5
+material = "clay"
+[[tool]]
+name = "ball"
+shape = "sphere"
+path = [{ t = 0.0, at = [0.0, 0.0, 12.5] }, { t = 1.5, at = [0.0, 0.0, 8.25] }]
+radius = 5.125
+"""
 TABLE = "t,x,y,z\n0,0,0,5\n1.5,0,0,-1.25\n2.5,10.5,0,-1.25\n3.25,20.5,31.75,-1.25\n"
 
 
@@ -96,6 +110,8 @@ MADE: dict[str, Callable[[Path], object]] = {
     ".ngc": text(MILLED),
     ".apt": text(CLDATA),
     ".csv": text(TABLE),
+    ".toml": text(SCENE),
+    ".tool.toml": text(TOOL),
 }
 """A small file of every kind."""
 
@@ -117,6 +133,37 @@ def test_made_files_cut_off_and_changed(broken: ModuleType, reader: object, suff
     rows = list(broken.sweep_file(path, broken.truncations(tenths) + broken.flips(flips), reader))
     assert rows[0]["verdict"] == "read"
     assert [row for row in rows if row["verdict"] in FAULTS] == []
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".toml", ".tool.toml"])
+def test_a_number_cut_in_two_is_told(broken: ModuleType, reader: object, suffix: str, tmp_path: Path) -> None:
+    """What is left of the last line is a number too, and nothing but the missing line end tells."""
+    path, cut = tmp_path / f"made{suffix}", tmp_path / "cut"
+    MADE[suffix](path)
+    whole = reader.read(path)  # type: ignore[attr-defined]
+    data = path.read_bytes()
+    shorter = data.rstrip(b"\n]").rstrip(b"0123456789") + (b"1]" if suffix == ".tool.toml" else b"1")
+    cut.mkdir()
+    (cut / path.name).write_bytes(shorter)
+    found = reader.read(cut / path.name)  # type: ignore[attr-defined]
+    assert found["outcome"] == "read"
+    assert broken.judged(whole, found, cut=True) == "said"
+    # the same with its line end is a file of its own
+    (cut / path.name).write_bytes(shorter + b"\n")
+    again = reader.read(cut / path.name)  # type: ignore[attr-defined]
+    assert not any("cut off" in line for line in again["warnings"])
+
+
+def test_a_warning_of_another_thing_does_not_tell_of_a_loss(broken: ModuleType) -> None:
+    whole = {"digest": "a", "warnings": []}
+    for line, verdict in (
+        ("the part is 0.1 mm long; is the unit in?", "silent"),
+        ("the area of its faces is 5 mm2, integrated exactly; OpenCASCADE's own quadrature gives 6", "silent"),
+        ("the file breaks off before its end; what stands in it was read", "said"),
+        ("the file holds 9 surfaces, 7 could be read", "said"),
+    ):
+        found = {"outcome": "read", "digest": "b", "warnings": [line]}
+        assert broken.judged(whole, found, cut=True) == verdict, line
 
 
 @pytest.mark.nightly

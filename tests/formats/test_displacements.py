@@ -14,7 +14,8 @@ from cadsculpt.cli.main import run as command
 from cadsculpt.errors import CadsculptError, InputError
 from cadsculpt.formats import displacements, patch_json, registry
 from cadsculpt.formats.contacts_csv import write_displacements
-from cadsculpt.formats.displace import displace, feet
+from cadsculpt.formats.displace import displace
+from cadsculpt.formats.field_nodes import feet
 from cadsculpt.formats.patch_part import PatchPart
 from cadsculpt.formats.run_folder import run_scene
 from cadsculpt.formats.scene_toml import SceneFile
@@ -151,7 +152,7 @@ def test_nodes_of_a_face_are_reproduced(crown: float) -> None:
     surface = sheet(crown=crown)
     u, v, points = grid_of(surface, 41, 35)
     part = part_of(surface)
-    (told,) = displace(part, displacements.field_of(points, dent(points)), tolerance=1e-3)
+    (told,) = displace(part, displacements.field_of(points, dent(points)), tolerance=1e-3).faces
     assert told.exact
     assert told.error.maximum <= 1e-3
     new = part.faces[0].surface
@@ -164,7 +165,7 @@ def test_scattered_points_make_the_dent() -> None:
     rng = np.random.default_rng(1)
     points = surface.evaluate(*rng.random((2, 2500)))
     part = part_of(surface)
-    (told,) = displace(part, displacements.field_of(points, dent(points)), tolerance=0.01)
+    (told,) = displace(part, displacements.field_of(points, dent(points)), tolerance=0.01).faces
     assert not told.exact
     _, _, places = grid_of(surface, 60, 60)
     u = v = np.linspace(0, 1, 60)
@@ -179,7 +180,7 @@ def test_only_what_is_near_the_points_moves() -> None:
     disc = points[np.hypot(points[:, 0] - 28, points[:, 1] - 22) < 15]
     part = part_of(surface, other)
     told = displace(part, displacements.field_of(disc, dent(disc)), tolerance=0.02)
-    assert [face.name for face in told] == ["top"]
+    assert [face.name for face in told.faces] == ["top"]
     assert part.faces["beside"].surface is part._read[1]
     new = part.faces["top"].surface
     far = new.evaluate(np.linspace(0, 1, 50), 0.95)
@@ -293,7 +294,7 @@ def test_a_plane_of_a_solid_gets_a_smooth_dent(tmp_path: Path) -> None:
     part = registry.read(tmp_path / "box.step")
     x, y = (side.ravel() for side in np.meshgrid(np.linspace(2, 58, 45), np.linspace(2, 48, 41), indexing="ij"))
     points = np.column_stack([x, y, np.full(len(x), 10.0)])
-    (told,) = displace(part, displacements.field_of(points, dent(points) ** 3 / 9.0), tolerance=0.01)
+    (told,) = displace(part, displacements.field_of(points, dent(points) ** 3 / 9.0), tolerance=0.01).faces
     new = part.faces.number(told.number).surface
     assert min(new.degree_u, new.degree_v) >= 3
     (a, b), (c, d) = new.domain

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cadsculpt.cli import new as cli_new
 from cadsculpt.cli.main import run as cadsculpt
 from cadsculpt.errors import InputError
+from cadsculpt.formats import patch_json
 from cadsculpt.formats.demo_parts import panel
 from cadsculpt.formats.face_survey import FaceSurvey, Spot, fold_thickness, free_radius, part_samples, survey
 from cadsculpt.formats.new_scene import _turn, new_scene
@@ -294,6 +295,20 @@ def test_a_face_that_is_not_there_and_a_shape_that_cannot_be_placed(panel_file: 
 
 def test_the_command_offers_what_can_be_placed() -> None:
     assert cli_new.SHAPES == SHAPES
+
+
+def test_a_sheet_with_a_narrow_curl_gets_a_lattice_that_is_thin_enough(tmp_path: Path) -> None:
+    """The curl's radius allows flakes at most; a lattice whose directions are smoothed there stands when it is thinner."""
+    turn = np.linspace(0.0, 3.0, 6)[1:]
+    x = np.concatenate([np.linspace(0.0, 60.0, 8), 60.0 + 0.2 * np.sin(turn)])
+    z = np.concatenate([np.zeros(8), -0.2 * (1.0 - np.cos(turn))])
+    net = np.stack(np.broadcast_arrays(x[:, None], np.linspace(0.0, 30.0, 4), z[:, None]), axis=2)
+    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, len(x) - 2), np.ones(3)])
+    curl = BSplineSurface(net, knots, np.array([0.0, 0, 0, 0, 1, 1, 1, 1]), 3, 3)
+    patch_json.write_surfaces(tmp_path / "curl.json", [curl], "mm")
+    made = new_scene(tmp_path / "curl.json", tmp_path / "scene.toml", wish=Wish.quick(0.02))
+    assert 0.0 < made.depth <= made.scene.model[0].thickness
+    assert made.nodes < 5_000
 
 
 @pytest.mark.corpus

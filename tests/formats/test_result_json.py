@@ -12,7 +12,6 @@ import pytest
 
 from cadsculpt.errors import InputError
 from cadsculpt.expect import Expectation
-from cadsculpt.export_fit import ExportedSeam
 from cadsculpt.formats.result_json import (
     Case,
     FaceFit,
@@ -27,6 +26,7 @@ from cadsculpt.formats.result_json import (
     write_result,
 )
 from cadsculpt.history import Summary
+from cadsculpt.seam_fit import ExportedSeam
 
 RESULT = Result(
     scene="thumb press",

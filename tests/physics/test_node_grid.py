@@ -94,3 +94,16 @@ def test_a_limit_on_the_net_widens_the_knots_and_then_refuses():
     assert np.prod(coarse.surface.shape) <= 300 < np.prod(fine.surface.shape)
     with pytest.raises(GeometryError, match="more than 20"):
         node_grid(surface, (1.0, 1.0), refine=everywhere, most_control_points=20)
+
+
+def test_knots_by_the_hundred_within_a_cell_are_named():
+    """Spans of all lengths, most far narrower than the nodes stand apart: no halving ever puts a node into each."""
+    spans = 10.0 ** np.random.default_rng(1).uniform(-6.0, 0.0, 500)
+    middle = (np.cumsum(spans) / spans.sum())[:-1]
+    knots = np.concatenate([np.zeros(4), middle, np.ones(4)])
+    x = np.array([knots[i + 1 : i + 4].mean() for i in range(len(knots) - 4)])
+    ends = np.array([0.0, 1.0])
+    X, Y = np.meshgrid(60.0 * x, 30.0 * ends, indexing="ij")
+    strip = BSplineSurface(np.stack([X, Y, 0 * X], axis=-1), knots, np.array([0.0, 0, 1, 1]), 3, 1)
+    with pytest.raises(GeometryError, match=r"so uneven, the longest \d"):
+        node_grid(strip, (2.0, 2.0))

@@ -180,6 +180,18 @@ def test_knots_that_are_kept_stay():
     assert set(kept[1]) <= set(fit.knots[1])
 
 
+def test_no_two_knots_are_one_to_rounding():
+    """Nodes and knots that are kept stand at the same places to rounding, as parameters of another face do."""
+    surface = surface_of(3, 6)
+    field = NodeField.of(surface, NODES, NODES, dent(NODES, NODES))
+    kept = np.nextafter(NODES[9:-9:2], 0.0), np.nextafter(NODES[9:-9:2], 1.0)
+    fit = fitted(surface, field, 1e-7, kept=kept)
+    for knots in (fit.surface.knots_u, fit.surface.knots_v):
+        steps = np.diff(np.unique(knots))
+        assert steps.min() > 1e-9
+        assert len(np.unique(knots)) == len(knots) - 6
+
+
 def test_the_limit_of_control_points_is_kept_and_said():
     surface = surface_of(3, 10)
     field = NodeField.of(surface, NODES, NODES, dent(NODES, NODES))

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from cadsculpt.spline.adapt import Goal, fit_to_tolerance
 from cadsculpt.spline.equations import Asked, displacement_along
-from cadsculpt.spline.follow import Following, Lead, Side, boundary_rows, edge_knots, side_of
+from cadsculpt.spline.follow import Following, Lead, Side, boundary_rows, edge_knots, follows, side_of
 from cadsculpt.spline.hold import Hold
 from cadsculpt.spline.net_fit import Given, NodeField, fit_net
+from cadsculpt.spline.refine import insert_knots
 from cadsculpt.spline.seam import angle, closest, gap, own_seam, seam_of
 from cadsculpt.spline.surface import BSplineSurface
 
@@ -168,6 +169,33 @@ def test_knots_are_added_until_the_side_follows():
         fit = fit_to_tolerance(surface, field, Goal(1.0, 1e-9, 5000), constraint=following.given, kept=knots)
         assert np.linalg.norm(fit.fit.along(uv) - wave, axis=1).max() <= tolerance
     assert 2 <= counts[0] < counts[1] <= 60
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
+@pytest.mark.parametrize("width", [0.05, 0.2])
+def test_a_side_follows_with_about_as_few_knots_as_can_be(width, tolerance):
+    """Against evenly spread knots, the fewest of which follow, and what the order of convergence asks for at the least."""
+    surface = net(5, (3, 3), (6, 5), rational=False)
+    t = np.linspace(0, 1, 1200)
+    dent = np.zeros((1200, 3))
+    dent[:, 2] = np.exp(-(((t - 0.4) / width) ** 2) / 2)
+    lead = Lead(np.stack([np.ones(1200), t], axis=1), dent, tolerance)
+    nodes = np.linspace(0, 1, 801)
+    field = NodeField.of(surface, np.linspace(0, 1, 9), nodes, np.zeros((9, 801, 3)))
+    _, found = edge_knots(surface, field, (lead,), 10**6)
+    assert follows(insert_knots(surface, [], found), (lead,))
+    inner = np.unique(surface.knots_v)[1:-1]
+
+    def even(n: int) -> bool:
+        return follows(insert_knots(surface, [], np.setdiff1d(np.arange(1, n) / n, inner)), (lead,))
+
+    few = next(n for n in (int(6 * 1.08**k) for k in range(99)) if even(n))
+    assert len(found) <= (0.6 if width == 0.05 else 1.0) * few + 3
+    # equal errors h^4 |d4 f| / 384 in every span (de Boor 1978): 1 / h summed up over the curve
+    x = (t - 0.4) / width
+    fourth = np.abs((x**4 - 6 * x**2 + 3) * dent[:, 2]) / width**4
+    least = np.trapezoid((fourth / (384 * tolerance)) ** 0.25, t)
+    assert len(found) <= 1.6 * least + 5
 
 
 def test_the_seam_of_a_closed_surface():

@@ -10,9 +10,13 @@ import pytest
 
 pytest.importorskip("OCP")
 
+from OCP.BRepAdaptor import BRepAdaptor_Curve
 from OCP.BRepBuilderAPI import BRepBuilderAPI_Sewing
+from OCP.BRepFilletAPI import BRepFilletAPI_MakeFillet
 from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox, BRepPrimAPI_MakeCylinder, BRepPrimAPI_MakeTorus
-from OCP.TopoDS import TopoDS_Shape
+from OCP.TopAbs import TopAbs_ShapeEnum
+from OCP.TopExp import TopExp_Explorer
+from OCP.TopoDS import TopoDS, TopoDS_Edge, TopoDS_Shape
 
 from cadsculpt.export_fit import Exported, export_fit
 from cadsculpt.formats import step
@@ -74,6 +78,42 @@ PARTS: dict[str, tuple[Callable[[], TopoDS_Shape], list[float], float]] = {
     "torus": (lambda: BRepPrimAPI_MakeTorus(12, 5).Shape(), [17, 0, 0], 3.0),
     "cylinder": (lambda: BRepPrimAPI_MakeCylinder(8, 20).Shape(), [8, 0, 12], 3.0),
 }
+
+
+def rounded_box() -> TopoDS_Shape:
+    """A box with the three edges of one corner rounded: planes, cylinders, and a ball's piece with a pole."""
+    box = BRepPrimAPI_MakeBox(60, 50, 40).Shape()
+    fillet, rounded = BRepFilletAPI_MakeFillet(box), list[TopoDS_Edge]()
+    explorer = TopExp_Explorer(box, TopAbs_ShapeEnum.TopAbs_EDGE)
+    while explorer.More():
+        edge = TopoDS.Edge(explorer.Current())
+        curve = BRepAdaptor_Curve(edge)
+        ends = np.array([curve.Value(t).Coord() for t in (curve.FirstParameter(), curve.LastParameter())])
+        at_corner = np.abs(ends - [60, 50, 40]).max(axis=1).min() < 1e-9
+        if at_corner and not any(edge.IsSame(other) for other in rounded):
+            rounded.append(edge)
+            fillet.Add(12.0, edge)
+        explorer.Next()
+    assert len(rounded) == 3
+    return fillet.Shape()
+
+
+def test_a_rounded_corner_stays_closed_and_tangent(tmp_path, monkeypatch):
+    """A dent where a plane, two cylinders and a ball meet tangentially, away from the ball's pole."""
+    monkeypatch.setitem(PARTS, "rounded", (rounded_box, [60, 38, 28], 3.0))
+    monkeypatch.setattr(f"{__name__}.SCENE", SCENE.replace("nodes = 1.0", "nodes = 2.0").replace("0.01\n", "0.03\n"))
+    loaded, exported = pressed(tmp_path, "rounded", "G1")
+    smooth = [seam for seam in exported.seams if seam.angle_as_read < 0.1]
+    assert len(smooth) == 9
+    for seam in exported.seams:
+        assert seam.gap <= seam.tolerance == pytest.approx(1e-7)
+        assert seam.angle_as_read < 0.1 or seam.angle_as_read == pytest.approx(90.0, abs=0.1)
+    assert max(seam.angle for seam in smooth) <= 0.1
+    assert max(face.error.maximum for face in exported.faces) <= 0.05
+    [(path, surfaces)] = loaded.sculpted(exported).items()
+    part = loaded.parts[path]
+    part.sculpt(surfaces)
+    assert part.validity().valid, part.validity().faults
 
 
 def pressed(folder: Path, name: str, continuity: str) -> tuple[Loaded, Exported]:
