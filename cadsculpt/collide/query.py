@@ -255,12 +255,12 @@ class DetectCache:
         return work
 
     def voxels_of(self, tool: int, work: Workspace) -> Voxels:
-        """The voxels about a tool of one patch in its own frame, of the size of its finest cells."""
+        """The voxels about a tool of one patch, of the size of its finest cells."""
         kept = self.voxels.get(tool)
         if kept is None or kept[0] is not work or kept[1] != work.patch.tick:
-            cells = max(min(work.grid.shape) - 1, 1)
-            edge = max(math.dist(*work.extent.tolist()), 1e-300) / cells
-            kept = work, work.patch.tick, voxels_about(work.extent, edge, int(work.grid.offset[-1]))
+            edge = max(math.dist(*work.extent.tolist()), 1e-300) / max(min(work.grid.shape) - 1, 1)
+            same = kept[2] if kept is not None and kept[0] is work else None
+            kept = work, work.patch.tick, voxels_about(work.extent, edge, int(work.grid.offset[-1]), same)
             self.voxels[tool] = kept
         return kept[2]
 

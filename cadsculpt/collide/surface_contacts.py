@@ -22,7 +22,6 @@ from .query import Crossings, RigidSurfaceTool, Run, SurfaceTool, finest_size, o
 from .rim import closest_on_faces, faces_box, outside_box
 from .shapes import world_box
 from .surface_rows import surface_rows
-from .voxels import NO_VOXELS
 from .workspace import Patch, Workspace, make_points
 
 Array = NDArray[np.float64]
@@ -90,7 +89,7 @@ def _one_patch_contacts(run: Run, index: int, tool: SurfaceTool | RigidSurfaceTo
         net, at, turn = tool.nets[0], ORIGIN, UNTURNED
         run.cache.boxes(index, tool.nets, f"tool {index}")
     other, h = run.load((index, 0), tool.grids[0], net)
-    voxels = run.cache.voxels_of(index, other) if isinstance(tool, RigidSurfaceTool) else NO_VOXELS
+    voxels = run.cache.voxels_of(index, other)
     if not world_box(other.extent, at, turn, run.cache.box):
         raise InputError("the tool's box is not a number", where=f"tool {index}")
     margin, out, reach = run.options.margin, run.out, max(run.options.margin, tool.reach)

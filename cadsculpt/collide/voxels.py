@@ -1,8 +1,9 @@
-"""Voxels about a tool that keeps its shape: how far its surface is, and which of its cells can be nearest.
+"""Voxels about a surface: how far it is from each, and which of its cells can be nearest there.
 
-In the tool's own frame nothing of it changes from step to step. What a voxel tells is found when a point first comes into it,
-by the search that `closest` makes for a group of points, and stays: the descent through the levels of detail is then spared
-to all that come later. A voxel tells the same whenever it is found, so that results do not depend on what came before.
+What a voxel tells is found when a point first comes into it, by the search that `closest` makes for a group of points: the
+descent through the levels of detail is then spared to all that come later. In its own frame nothing of a rigid tool changes, and
+its voxels stay from step to step; those of a tool that changes its shape are forgotten with it. A voxel tells the same whenever
+it is found, so that results do not depend on what came before.
 """
 
 from __future__ import annotations
@@ -51,26 +52,29 @@ class Voxels(NamedTuple):
     used: Index
 
 
-def voxels_about(extent: Array, edge: float, cells: int) -> Voxels:
-    """Voxels of about this edge about a box (2, 3), no more than MOST_VOXELS. cells : of the surface, at all levels."""
+def voxels_about(extent: Array, edge: float, cells: int, kept: Voxels | None = None) -> Voxels:
+    """Voxels of about this edge about a box (2, 3), no more than MOST_VOXELS, of which nothing is known yet.
+
+    cells : of the surface, at all levels. kept : of the same surface in another shape, whose memory they take over.
+    """
     size = extent[1] - extent[0]
-    while np.prod(size / edge + 2.0 * PAD + 1.0) > MOST_VOXELS:
-        edge *= 1.25
+    if kept is not None:
+        kept.slot[kept.names[: kept.used[0]]] = 0
+        kept.used[0] = 0
+    most = MOST_VOXELS if kept is None else len(kept.slot)
+    while np.prod(np.ceil(size / edge) + 2.0 * PAD) > most:
+        edge *= 1.1
     counts = np.ceil(size / edge).astype(np.int64) + 2 * PAD
     low = 0.5 * (extent[0] + extent[1]) - 0.5 * edge * counts
-    rows = max(64 * MOST_KNOWN, cells)
+    if kept is not None:
+        return kept._replace(low=low, edge=edge, counts=counts)
+    # half as many again: a tool that changes its shape may grow
+    slots, rows = min(int(1.5 * counts.prod()), MOST_VOXELS), max(64 * MOST_KNOWN, cells)
     return Voxels(
-        low, edge, counts, np.zeros(int(counts.prod()), np.int32), np.zeros(MOST_KNOWN, np.int64),
+        low, edge, counts, np.zeros(slots, np.int32), np.zeros(MOST_KNOWN, np.int64),
         np.empty((MOST_KNOWN, 9)), np.zeros(MOST_KNOWN + 1, np.int64), np.empty((rows, 5)), np.empty((rows, 3), np.int64),
         np.zeros(1, np.int64),
     )  # fmt: skip
-
-
-NO_VOXELS = Voxels(
-    np.zeros(3), 1.0, np.zeros(3, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int64), np.empty((0, 9)),
-    np.zeros(1, np.int64), np.empty((0, 5)), np.empty((0, 3), np.int64), np.zeros(1, np.int64),
-)  # fmt: skip
-"""Of a tool that changes its shape."""
 
 
 @njit_inline
