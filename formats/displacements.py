@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from ..errors import InputError, SceneError
@@ -37,6 +39,10 @@ NEIGHBOURS = 40
 
 SAME_PLACE = 1e-9
 """Of the size of all points: nearer ones are one point, which cannot move in two ways."""
+
+AGREEING = 0.02
+"""Of the largest displacement: one place has several that differ by no more where faces meet whose nodes a run ties by
+interpolation, or not at all, as at a corner."""
 
 REACH = 4.0
 """How far from the points something moves, in spacings, where nobody says it: scattered points leave holes two wide."""
@@ -125,7 +131,7 @@ def read(path: str | os.PathLike[str], units: str = "mm", *, reach: float | None
 
 
 def field_of(points: Array, moves: Array, *, where: str = "", reach: float | None = None) -> DisplacementField:
-    """The field of points (n, 3) and displacements (n, 3) in mm, each place once.
+    """The field of points (n, 3) and displacements (n, 3) in mm, each place once: with the mean where it has several.
 
     Raises InputError when a place moves in two ways.
     """
@@ -135,14 +141,19 @@ def field_of(points: Array, moves: Array, *, where: str = "", reach: float | Non
     if len(pairs):
         apart = np.linalg.norm(moves[pairs[:, 0]] - moves[pairs[:, 1]], axis=1)
         worst = int(apart.argmax())
-        if apart[worst] > 1e-6 * max(float(np.abs(moves).max()), 1e-300):
+        if apart[worst] > AGREEING * max(float(np.abs(moves).max()), 1e-300):
             x, y, z = points[pairs[worst, 0]].tolist()
             raise InputError(
                 f"the point ({x:g}, {y:g}, {z:g}) mm moves in two ways", where=where, mend="keep one of them"
             )
-        keep = np.ones(len(points), dtype=np.bool_)
-        keep[pairs[:, 1]] = False
-        points, moves = points[keep], moves[keep]
+        links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
+        place = connected_components(links, directed=False)[1]
+        _, first = np.unique(place, return_index=True)
+        count = np.bincount(place)[:, None]
+        points = points[first]
+        moves = np.stack([np.bincount(place, moves[:, k]) for k in range(3)], axis=1) / count
+        order = np.argsort(first)  # as in the file
+        points, moves = points[order], moves[order]
         tree = KDTree(points)
     around = min(AROUND, len(points) - 1)
     spacing = 0.0

@@ -29,6 +29,8 @@ ON_FACE = 1e-6
 SPARSE = 50
 """Places of the grid through all points, for each point, above which they are no grid."""
 MOST_NODES = 100_000
+BEYOND = 3
+"""Nodes beyond those that move, to which a net is made fine."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,10 +115,23 @@ def own_nodes(surface: BSplineSurface, field: DisplacementField, window: tuple[S
     points = surface.evaluate(u[:, None], v)
     spacing = [float(np.median(np.linalg.norm(np.diff(points, axis=axis), axis=2))) for axis in (0, 1)]
     try:
-        nodes = node_grid(surface, (spacing[0], spacing[1]), window=window, refine=window)
+        nodes = node_grid(surface, (spacing[0], spacing[1]), window=window, refine=_moved_window(u, v, found))
     except (InputError, GeometryError):
         return None
     return FieldNodes(u, v, found, nodes.slivers, missing_knots(surface, nodes.surface), number)
+
+
+def _moved_window(u: Array, v: Array, moves: Array) -> tuple[Span, Span] | None:
+    """The box of (u, v) around the nodes that move, and a few more, as a run has knots where its tools come; None where none
+    does."""
+    moved = (moves != 0.0).any(axis=2)
+    if not moved.any():
+        return None
+    rows, columns = np.flatnonzero(moved.any(axis=1)), np.flatnonzero(moved.any(axis=0))
+    return tuple(  # type: ignore[return-value]
+        (float(t[max(places[0] - BEYOND, 0)]), float(t[min(places[-1] + BEYOND, len(t) - 1)]))
+        for t, places in ((u, rows), (v, columns))
+    )
 
 
 def _values(t: Array, domain: tuple[float, float]) -> tuple[Array, NDArray[np.int64]]:

@@ -22,7 +22,7 @@ from .archive import BUFFER_VERSION
 from .brep import BOUNDARY, INNER_LOOP, MATED, OUTER_LOOP, SEAM, SINGULAR, Brep, BrepFace, Edge, Loop, Trim, Vertex
 from .geometry import curve_points
 from .joins import joined_chunk
-from .new_trims import DrawnTrim, drawn_loop
+from .new_trims import TOUCHING, DrawnTrim, drawn_loop, twin_sides
 from .nurbs import Nurbs, nurbs_chunk
 
 Array = NDArray[np.float64]
@@ -48,6 +48,7 @@ class BrepBuilder:
     _vertices: list[tuple[TopoDS_Vertex, float]] = field(default_factory=list)
     _edges: list[tuple[TopoDS_Edge, tuple[float, float], tuple[int, int], float]] = field(default_factory=list)
     _edge_ends: list[Array] = field(default_factory=list)
+    _same: list[tuple[int, int]] = field(default_factory=list)
     _places: dict[int, list[int]] = field(default_factory=dict)
 
     def add(
@@ -60,33 +61,45 @@ class BrepBuilder:
         made = []
         for k, items in sorted(enumerate(loops), key=lambda pair: pair[0] != outer):
             loop = len(self.loops)
+            drawn = drawn_loop(items, surface, only=len(loops) == 1, exact=exact)
+            twins = twin_sides(items, drawn, surface)
             trims = tuple(
-                self._trim(item, drawn, surface, loop)
-                for item, drawn in zip(
-                    items, drawn_loop(items, surface, only=len(loops) == 1, exact=exact), strict=True
-                )
+                self._trim(item, form, surface, loop, items[twins[n]] if n in twins else None, n in twins.values())
+                for n, (item, form) in enumerate(zip(items, drawn, strict=True))
             )
             self.loops.append(Loop(loop, trims, OUTER_LOOP if k == outer else INNER_LOOP, face))
             made.append(loop)
         self.faces.append(BrepFace(face, tuple(made), face, int(not surface.outward), 0))
 
-    def _trim(self, item: BoundaryEdge, drawn: DrawnTrim, surface: BSplineSurface, loop: int) -> int:
+    def _trim(
+        self,
+        item: BoundaryEdge,
+        drawn: DrawnTrim,
+        surface: BSplineSurface,
+        loop: int,
+        twin: BoundaryEdge | None,
+        has_twin: bool,
+    ) -> int:
+        """Add a trim. twin : the one on the other side of the seam, whose edge it takes; has_twin : it is such a one."""
         index = len(self.trims)
         chunk, domain = joined_chunk(drawn.curve, drawn.before, drawn.after, BUFFER_VERSION, explicit=drawn.explicit)
         self.curves2.append(chunk)
         if drawn.moved:
             self.moved[surface.name] = max(drawn.moved, self.moved.get(surface.name, 0.0))
-        backward = item.edge.Orientation() == REVERSED
+        backward = item.edge.Orientation() == REVERSED if twin is None else twin.edge.Orientation() != REVERSED
         if item.degenerate:
             corner = self._vertex(TopExp.FirstVertex_s(item.edge, True))
             edge, ends, kind = -1, (corner, corner), SINGULAR
         else:
-            edge = self._edge(item.edge)
+            edge = self._edge(item.edge if twin is None else twin.edge)
             start, end = self._edges[edge][2]
             ends = (end, start) if backward else (start, end)
+            if twin is not None:
+                own = TopExp.FirstVertex_s(item.edge, True), TopExp.LastVertex_s(item.edge, True)
+                self._same += zip(map(self._vertex, own), ends, strict=True)
             uv = drawn.ends
             self._reach(edge, surface.evaluate(uv[:, 0], uv[:, 1]), backward)
-            kind = SEAM if item.seam else BOUNDARY
+            kind = SEAM if item.seam or twin is not None or has_twin else BOUNDARY
         rest = np.array(domain).tobytes() + bytes(48)
         turned = int(backward and not item.degenerate)
         self.trims.append(Trim(index, index, domain, edge, ends, turned, kind, drawn.iso, loop, (0.0, 0.0), rest))
@@ -132,7 +145,26 @@ class BrepBuilder:
         self._vertices.append((corner, float(BRep_Tool.Tolerance_s(corner))))
         return len(self._vertices) - 1
 
+    def _merge_vertices(self) -> None:
+        """Make one vertex of those at the ends of a closed edge, and on both sides of a seam, as openNURBS wants it."""
+        one = list(range(len(self._vertices)))
+        closed = [
+            vertices
+            for (_, _, vertices, _), spots in zip(self._edges, self._edge_ends, strict=True)
+            if np.abs(spots[0] - spots[1]).max() <= TOUCHING[0]
+        ]
+        for pair in [*closed, *self._same]:
+            low, high = sorted(one[vertex] for vertex in pair)
+            one = [low if place == high else place for place in one]
+        kept = sorted(set(one))
+        place = {old: kept.index(one[old]) for old in range(len(one))}
+        self._vertices = [self._vertices[old] for old in kept]
+        self._edges = [(e, domain, (place[a], place[b]), tolerance) for e, domain, (a, b), tolerance in self._edges]
+        self.trims = [replace(t, vertices=(place[t.vertices[0]], place[t.vertices[1]])) for t in self.trims]
+
     def brep(self) -> Brep:
+        """The Brep of the faces that were added."""
+        self._merge_vertices()
         on_edge: list[list[int]] = [[] for _ in self._edges]
         for trim in self.trims:
             if trim.edge >= 0:

@@ -143,6 +143,27 @@ def drawn_loop(
     ]
 
 
+def twin_sides(items: Sequence[BoundaryEdge], drawn: Sequence[DrawnTrim], surface: BSplineSurface) -> dict[int, int]:
+    """Trims along one side of a closed surface that lie on edges of their own -> those that they meet across the seam.
+
+    openNURBS wants both on one edge.
+    """
+    found: dict[int, int] = {}
+    size = np.array([high - low for low, high in surface.domain])
+    for axis, closed in enumerate((surface.closed_u, surface.closed_v)):
+        sides = [
+            [k for k, form in enumerate(drawn) if form.iso == side and not (items[k].seam or items[k].degenerate)]
+            for side in (BOUNDARY_ISO[axis], BOUNDARY_ISO[axis + 2])
+        ]
+        for k in sides[1] if closed else ():
+            for other in sides[0]:
+                apart = np.abs(drawn[k].ends[::-1] - drawn[other].ends)[:, 1 - axis].max()
+                if other not in found.values() and apart <= NEAR * size[1 - axis]:
+                    found[k] = other
+                    break
+    return found
+
+
 def _join(net: Nurbs, start: Array, end: Array, *, at_start: bool, straight: bool) -> Array:
     """(m, 2): Bezier points from `start` to `end`, which leads to the start of a curve or away from its end.
 

@@ -138,6 +138,21 @@ def test_exact_at_the_points_and_nothing_beyond_the_reach() -> None:
     np.testing.assert_allclose(whole.at(inside), np.tile([1.0, -2.0, 0.5], (50, 1)), atol=1e-9)
 
 
+def test_a_place_with_two_displacements_that_nearly_agree_has_their_mean() -> None:
+    x, y = np.meshgrid(np.arange(0, 30, 1.5), np.arange(0, 30, 1.5))
+    points = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    moves = dent(points)
+    twice, again = np.concatenate([points, points[200:203], points[200:203]]), moves[200:203]
+    near = displacements.field_of(twice, np.concatenate([moves, again + [0, 0, 0.03], again + [0, 0, -0.015]]))
+    np.testing.assert_array_equal(near.points, points)
+    np.testing.assert_allclose(near.moves[200:203], again + [0, 0, 0.005], atol=1e-12)
+    np.testing.assert_array_equal(
+        np.delete(near.moves, [200, 201, 202], axis=0), np.delete(moves, [200, 201, 202], axis=0)
+    )
+    with pytest.raises(InputError, match="moves in two ways"):
+        displacements.field_of(twice, np.concatenate([moves, again + [0, 0, 0.3], again]))
+
+
 def test_the_spacing_is_that_of_a_grid() -> None:
     x, y = np.meshgrid(np.arange(0, 30, 1.5), np.arange(0, 30, 1.5))
     points = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])

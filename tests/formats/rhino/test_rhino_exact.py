@@ -270,6 +270,29 @@ def test_names_that_are_not_those_of_all_faces_are_not_looked_at(tmp_path: Path)
     assert [face.name for face in rhino.read(tmp_path / "other.3dm").faces] == [f"{base} face {i}" for i in range(1, 7)]
 
 
+def test_an_edge_that_closes_between_two_vertices_has_one(tmp_path: Path) -> None:
+    """Some systems end a circle in another vertex than it starts, at the same place; openNURBS refuses that."""
+    from OCP.Geom import Geom_Circle
+    from OCP.gp import gp_Ax2
+
+    from cadsculpt.formats.occt.part import document_of_shapes
+    from cadsculpt.formats.occt.shape import WireEdge, edge, face_with_wires, vertex
+
+    u, v = np.meshgrid([-9.0, 9.0], [-9.0, 9.0], indexing="ij")
+    flat = BSplineSurface(np.stack([u, v, 0 * u], axis=2), LINE * 18 - 9, LINE * 18 - 9, 1, 1, name="disc")
+    half = np.sqrt(0.5)
+    ring = np.array([(5, 0), (5, 5), (0, 5), (-5, 5), (-5, 0), (-5, -5), (0, -5), (5, -5), (5, 0)], dtype=float)
+    knots = np.repeat(np.linspace(0.0, 2.0 * np.pi, 5), [3, 2, 2, 2, 3])
+    curve = TrimCurve(ring, knots, 2, np.array([1, half, 1, half, 1, half, 1, half, 1]))
+    start, end = (vertex(np.array([5.0, 0.0, 0.0])) for _ in range(2))
+    made = edge(Geom_Circle(gp_Ax2(), 5.0), 0.0, 2.0 * np.pi, start, end)
+    part = document_of_shapes([("disc", face_with_wires(flat, [[WireEdge(made, curve)]]))])
+    back = through(part, tmp_path)
+    assert not any("3DM" in warning for warning in part.warnings)
+    same_trims(part.faces[0].surface, back.faces[0].surface)
+    assert back.faces[0].area == pytest.approx(25.0 * np.pi, rel=1e-9)
+
+
 # ------------------------------------------------------------------- real files
 
 
@@ -277,11 +300,13 @@ REAL = [
     "step/bug25013_25013faces.stp",
     "step/trj4_k1_geo-tu-214.stp",
     "step/trj4_k1_top-id-214.stp",
+    "step/trj4_k1_geo-md-203.stp",
     "iges/PRO20360-T4.igs",
     "iges/OCC8842_cylinder_Ideas.igs",
     "iges/example_45_faces.iges",
 ]
-"""Ends that do not meet, lines a little off a parameter line, seams bent at a corner, full multiplicity at seams, holes."""
+"""Ends that do not meet, lines a little off a parameter line, seams bent at a corner, seams of two edges, full
+multiplicity at seams, holes."""
 
 
 @pytest.mark.corpus
