@@ -1,8 +1,8 @@
 """Voxels about a surface: how far it is from each, and which of its cells can be nearest there.
 
 What a voxel tells is found when a point first comes into it, by the search that `closest` makes for a group of points: the
-descent through the levels of detail is then spared to all that come later. In its own frame nothing of a rigid tool changes, and
-its voxels stay from step to step; those of a tool that changes its shape are forgotten with it. A voxel tells the same whenever
+descent through the levels of detail is then spared to all that come later. In its own frame nothing of a rigid tool changes,
+and its voxels stay from step to step; those of a tool that changes its shape are forgotten with it. A voxel tells the same whenever
 it is found, so that results do not depend on what came before.
 """
 
