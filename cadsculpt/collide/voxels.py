@@ -2,8 +2,8 @@
 
 What a voxel tells is found when a point first comes into it, by the search that `closest` makes for a group of points: the
 descent through the levels of detail is then spared to all that come later. In its own frame nothing of a rigid tool changes,
-and its voxels stay from step to step; those of a tool that changes its shape are forgotten with it. A voxel tells the same whenever
-it is found, so that results do not depend on what came before.
+and its voxels stay from step to step; those of a tool that changes its shape are forgotten with it. A voxel tells the same
+whenever it is found, so that results do not depend on what came before.
 """
 
 from __future__ import annotations
