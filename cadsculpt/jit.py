@@ -98,5 +98,10 @@ def njit_in_place(function: F) -> F:
 
 
 def njit_inline(function: F) -> F:
-    """As `njit_in_place`, always inlined by LLVM's caller: for the scalar pieces of a kernel."""
+    """As `njit`, always inlined by LLVM's caller: for the scalar pieces of a kernel."""
+    return _once(numba.njit(cache=True, nogil=True, fastmath=False, forceinline=True)(function))  # type: ignore[no-any-return]
+
+
+def njit_inline_in_place(function: F) -> F:
+    """As `njit_in_place`, always inlined."""
     return _once(numba.njit(cache=True, nogil=True, fastmath=False, forceinline=True, _nrt=False)(function))  # type: ignore[no-any-return]

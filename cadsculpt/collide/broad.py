@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GeometryError
-from ..jit import njit, njit_in_place, njit_inline
+from ..jit import njit, njit_in_place, njit_inline_in_place
 from .workspace import grown
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ def candidate_pairs(boxes_a: Array, boxes_b: Array, margin: float = 0.0) -> Inde
     return pairs[np.argsort(pairs[:, 0] * len(b) + pairs[:, 1])]
 
 
-@njit_inline
+@njit_inline_in_place
 def come_near(a: Array, i: int, b: Array, k: int, margin: float) -> bool:
     """Box i of a and box k of b come within `margin` along every axis."""
     return bool(

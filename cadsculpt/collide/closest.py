@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit, njit_in_place, njit_inline
+from ..jit import njit, njit_in_place, njit_inline_in_place
 from .grid import PatchGrid
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V, inside, newton
 from .spheres import fill_spheres
@@ -217,7 +217,7 @@ def nearest_candidates(table: Array, final: Index, count: int, c: Array, rho: fl
     return left
 
 
-@njit_inline
+@njit_inline_in_place
 def approach(
     g: Patch, search: Search, table: Array, final: Index, first: int, count: int, x: float, y: float, z: float,
     px: float, py: float, pz: float, warm: bool, beyond: float,

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit, njit_in_place, njit_inline
+from ..jit import njit, njit_in_place, njit_inline_in_place
 from ..spline.bounds import S_UU, S_UV, S_VV, span_bounds
 from .workspace import Patch, canonical, make_points
 
@@ -29,7 +29,7 @@ COLLINEAR = 1e-6
 cell."""
 
 
-@njit_inline
+@njit_inline_in_place
 def distance2(points: Array, a: int, b: int) -> float:
     """Squared distance of two points."""
     x, y, z = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
@@ -55,7 +55,7 @@ def circle(points: Array, a: int, b: int, c: int, out: Array) -> bool:
     return True
 
 
-@njit_inline
+@njit_inline_in_place
 def away2(points: Array, a: int, centre: Array) -> float:
     """Squared distance of a point from a centre."""
     x, y, z = points[a, 0] - centre[0], points[a, 1] - centre[1], points[a, 2] - centre[2]

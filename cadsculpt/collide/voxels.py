@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit_in_place, njit_inline
+from ..jit import njit_in_place, njit_inline_in_place
 from .closest import approach, candidates, nearest_candidates
 from .newton import NORMAL, U, V, polynomial
 from .workspace import Patch, Search
@@ -38,6 +38,7 @@ class Voxels(NamedTuple):
 
     Of each row: names, the cube; foot (n, 9), its middle's distance from the surface, and u, v, S_u, S_v of the closest
     point; its candidates table[first[k] : first[k + 1]] and final[...], as in `closest.candidates`. used (1,) : rows.
+    probe (1, 3), answer (1, 9), kind (1,) : to ask for one point.
     """
 
     low: Array
@@ -50,6 +51,9 @@ class Voxels(NamedTuple):
     table: Array
     final: Index
     used: Index
+    probe: Array
+    answer: Array
+    kind: Index
 
 
 def voxels_about(extent: Array, edge: float, cells: int, kept: Voxels | None = None) -> Voxels:
@@ -73,11 +77,11 @@ def voxels_about(extent: Array, edge: float, cells: int, kept: Voxels | None = N
     return Voxels(
         low, edge, counts, np.zeros(slots, np.int32), np.zeros(MOST_KNOWN, np.int64),
         np.empty((MOST_KNOWN, 9)), np.zeros(MOST_KNOWN + 1, np.int64), np.empty((rows, 5)), np.empty((rows, 3), np.int64),
-        np.zeros(1, np.int64),
+        np.zeros(1, np.int64), np.zeros((1, 3)), np.zeros((1, 9)), np.zeros(1, np.int64),
     )  # fmt: skip
 
 
-@njit_inline
+@njit_inline_in_place
 def voxel_at(voxels: Voxels, x: float, y: float, z: float) -> int:
     """The number of the voxel that holds a point; -1 where none does."""
     low, edge, counts = voxels.low, voxels.edge, voxels.counts
@@ -87,7 +91,7 @@ def voxel_at(voxels: Voxels, x: float, y: float, z: float) -> int:
     return (int(a) * counts[1] + int(b)) * counts[2] + int(c)
 
 
-@njit_inline
+@njit_inline_in_place
 def middle(voxels: Voxels, number: int) -> tuple[float, float, float]:
     """Of a voxel."""
     low, edge, counts = voxels.low, voxels.edge, voxels.counts
@@ -99,26 +103,68 @@ def middle(voxels: Voxels, number: int) -> tuple[float, float, float]:
 
 
 @njit_in_place
-def explore(h: Patch, search: Search, voxels: Voxels, number: int) -> int:
-    """Find out what a voxel tells; its row."""
-    slot, names, foot, first, used = voxels.slot, voxels.names, voxels.foot, voxels.first, voxels.used
-    c, table, final, rho = search.centre, search.table, search.final, HALF_DIAGONAL * voxels.edge
-    c[0], c[1], c[2] = middle(voxels, number)
-    count = candidates(h, search, rho, np.inf)
-    distance, _ = approach(h, search, table, final, 0, count, c[0], c[1], c[2], 0.0, 0.0, 0.0, False, np.inf)
-    count = nearest_candidates(table, final, count, c, rho, distance)
+def feet(h: Patch, voxels: Voxels, search: Search, points: Array, beyond: float, best: Array, state: Index) -> None:
+    """`closest.project_in` for points (n, 3); best (n, 9), state (n,) receive what it finds.
+
+    A point that comes into a voxel of which nothing is known waits until its middle has been asked for: there is one place
+    that asks, because kernels are compiled anew wherever they are called.
+    """
+    found, mine, tangents, c, slot, foot, first = (
+        search.found, search.mine, search.h, search.centre, voxels.slot, voxels.foot, voxels.first,
+    )  # fmt: skip
+    rho, s = HALF_DIAGONAL * voxels.edge, 0
+    while s < len(points):
+        x, y, z = points[s, 0], points[s, 1], points[s, 2]
+        number = voxel_at(voxels, x, y, z)
+        known = number >= 0 and slot[number] > 0
+        table, final, start, count = search.table, search.final, 0, 0
+        px, py, pz = x, y, z
+        if known:
+            # from the closest point of the voxel's middle, by its tangents
+            row = slot[number] - 1
+            px, py, pz = middle(voxels, number)
+            found[U], found[V] = foot[row, 1], foot[row, 2]
+            for a in range(3):
+                tangents[1, a], tangents[2, a] = foot[row, 3 + a], foot[row, 6 + a]
+            table, final, start, count = voxels.table, voxels.final, first[row], first[row + 1] - first[row]
+        else:
+            if number >= 0:
+                x, y, z = middle(voxels, number)
+            c[0], c[1], c[2] = x, y, z
+            count = candidates(h, search, rho if number >= 0 else 0.0, np.inf)
+        distance, kind = approach(
+            h, search, table, final, start, count, x, y, z, px, py, pz, known, beyond if known or number < 0 else np.inf
+        )
+        if number >= 0 and not known:
+            keep(h, search, voxels, number, nearest_candidates(table, final, count, c, rho, distance), distance)
+            continue
+        if distance < np.inf:
+            for a in range(9):
+                best[s, a] = mine[a]
+            for a in range(3):
+                best[s, NORMAL + a] *= h.flip
+            state[s] = kind
+        s += 1
+
+
+@njit_in_place
+def keep(h: Patch, search: Search, voxels: Voxels, number: int, count: int, distance: float) -> None:
+    """Keep what has been found for the middle of a voxel: its closest point in search.mine, the first `count` candidates of
+    search.table. All others are forgotten where there is no room."""
+    slot, names, foot, first, used, c = (
+        voxels.slot, voxels.names, voxels.foot, voxels.first, voxels.used, search.centre,
+    )  # fmt: skip
     if used[0] == len(names) or first[used[0]] + count > len(voxels.table):
         for k in range(used[0]):
             slot[names[k]] = 0
         used[0] = 0
     row = used[0]
-    start = first[row]
+    start, u, v, tangents = first[row], search.mine[U], search.mine[V], search.h
     for t in range(count):
         for a in range(5):
-            voxels.table[start + t, a] = table[t, a]
+            voxels.table[start + t, a] = search.table[t, a]
         for a in range(3):
-            voxels.final[start + t, a] = final[t, a]
-    u, v, tangents = search.mine[U], search.mine[V], search.h
+            voxels.final[start + t, a] = search.final[t, a]
     polynomial(
         h.net, h.knots_u, h.knots_v, h.degree_u, h.degree_v, h.rational, search.scratch, h.frames, h.terms, h.terms_stamp,
         h.tick, u, v, c[0], c[1], c[2], tangents,
@@ -127,10 +173,9 @@ def explore(h: Patch, search: Search, voxels: Voxels, number: int) -> int:
     for a in range(3):
         foot[row, 3 + a], foot[row, 6 + a] = tangents[1, a], tangents[2, a]
     first[row + 1], names[row], slot[number], used[0] = start + count, number, row + 1, row + 1
-    return row
 
 
-@njit_inline
+@njit_inline_in_place
 def near_surface(
     h: Patch, search: Search, voxels: Voxels, its: Array, x: float, y: float, z: float, reach: float
 ) -> bool:
@@ -140,42 +185,9 @@ def near_surface(
         a, b = max(0.0, its[0, 0] - x, x - its[1, 0]), max(0.0, its[0, 1] - y, y - its[1, 1])
         c = max(0.0, its[0, 2] - z, z - its[1, 2])
         return math.sqrt(a * a + b * b + c * c) <= reach
-    row = voxels.slot[number] - 1
-    if row < 0:
-        row = explore(h, search, voxels, number)
     a, b, c = middle(voxels, number)
+    if voxels.slot[number] == 0:
+        voxels.probe[0, 0], voxels.probe[0, 1], voxels.probe[0, 2] = a, b, c
+        feet(h, voxels, search, voxels.probe, np.inf, voxels.answer, voxels.kind)
     away = math.sqrt((a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2)
-    return voxels.foot[row, 0] - away <= reach
-
-
-@njit_in_place
-def feet(h: Patch, voxels: Voxels, search: Search, points: Array, beyond: float, best: Array, state: Index) -> None:
-    """`closest.project_in` for points (n, 3); best (n, 9), state (n,) receive what it finds."""
-    found, mine, tangents, c, foot = search.found, search.mine, search.h, search.centre, voxels.foot
-    for s in range(len(points)):
-        x, y, z = points[s, 0], points[s, 1], points[s, 2]
-        number = voxel_at(voxels, x, y, z)
-        if number < 0:
-            c[0], c[1], c[2] = x, y, z
-            count = candidates(h, search, 0.0, np.inf)
-            distance, kind = approach(h, search, search.table, search.final, 0, count, x, y, z, x, y, z, False, beyond)
-        else:
-            row = voxels.slot[number] - 1
-            if row < 0:
-                row = explore(h, search, voxels, number)
-            # from the closest point of the voxel's middle, by its tangents
-            found[U], found[V] = foot[row, 1], foot[row, 2]
-            for a in range(3):
-                tangents[1, a], tangents[2, a] = foot[row, 3 + a], foot[row, 6 + a]
-            px, py, pz = middle(voxels, number)
-            first = voxels.first[row]
-            distance, kind = approach(
-                h, search, voxels.table, voxels.final, first, voxels.first[row + 1] - first,
-                x, y, z, px, py, pz, True, beyond,
-            )  # fmt: skip
-        if distance < np.inf:
-            for a in range(9):
-                best[s, a] = mine[a]
-            for a in range(3):
-                best[s, NORMAL + a] *= h.flip
-            state[s] = kind
+    return voxels.foot[voxels.slot[number] - 1, 0] - away <= reach

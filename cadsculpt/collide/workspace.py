@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GeometryError
-from ..jit import njit, njit_in_place, njit_inline
+from ..jit import njit, njit_in_place, njit_inline_in_place
 from .grid import PatchGrid
 
 Array = NDArray[np.float64]
@@ -450,13 +450,13 @@ def spans_of(g: Patch) -> Spans:
     )  # fmt: skip
 
 
-@njit_inline
+@njit_inline_in_place
 def tree_of(g: Patch) -> Tree:
     """The cells of a loaded patch."""
     return Tree(g.tally, g.offset, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.mark, g.slot)
 
 
-@njit_inline
+@njit_inline_in_place
 def canonical(i: int, j: int, m: int, n: int, wrap_u: bool, wrap_v: bool, poles: int) -> int:
     """The flat name of the vertex (i, j): one for both sides of a closed seam, one for a whole pole."""
     if wrap_u and i == m - 1:

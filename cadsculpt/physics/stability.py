@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit_in_place, njit_inline
+from ..jit import njit_in_place, njit_inline_in_place
 from .springs import TINY, add_three
 from .ties import TiedNodes
 
@@ -173,7 +173,7 @@ def highest_frequency(
     return worst
 
 
-@njit_inline
+@njit_inline_in_place
 def _largest_eigenvalue(xx: float, yy: float, zz: float, xy: float, yz: float, zx: float) -> float:
     """Of a symmetric 3 x 3 matrix, from above: its characteristic polynomial has real roots alone, so that Newton's steps from
     a place above the largest one stay above it. They begin at m + sqrt(2) s, m and s the eigenvalues' mean and standard

@@ -36,7 +36,7 @@ def test_they_find_the_closest_points_in_any_order_and_after_they_were_forgotten
     truth = closest_points(work.grid, surface.control_points, points)
     cells = int(work.grid.offset[-1])
     full = voxels_about(work.extent, 0.8, cells)
-    small = full._replace(names=np.zeros(40, np.int64), slot=np.zeros_like(full.slot))
+    small = voxels_about(work.extent, 0.8, cells)._replace(names=np.zeros(40, np.int64))
     for voxels in (full, small):
         best, _ = _feet(work, patch, voxels, points)
         assert best[:, DISTANCE] == pytest.approx(truth.distance, rel=1e-9, abs=1e-12)
