@@ -18,7 +18,7 @@ from .levels import in_order
 from .newton import DISTANCE, NORMAL, POINT, PROPER, U, V
 from .quadrature import BLOCK, in_grid, ring_of, unresolved_cells, vertex_areas
 from .spheres import fill_spheres
-from .voxels import Voxels, feet, near_surface
+from .voxels import Voxels, feet, least_distance
 from .workspace import Patch, Room, Search, Waves, canonical, make_points
 
 Array = NDArray[np.float64]
@@ -29,18 +29,26 @@ SMALL = 2
 larger ones hold would look for its closest point in vain."""
 
 
-@njit_in_place
-def near_cells(g: Patch, h: Patch, voxels: Voxels, its: Array, reach: float, room: Room, search: Search) -> int:
-    """The small cells of g whose spheres come within `reach` of the surface of h, into room.cells; how many they are.
+TURNS = 16
+"""How often cells that wait for voxels are looked at again: once for each level, and no more where the voxels cannot hold all
+that is asked."""
 
-    its (2, 3) : the box of h's net.
+
+@njit_in_place
+def near_cells(
+    g: Patch, voxels: Voxels, its: Array, reach: float, sure: bool, room: Room, stack: Index
+) -> tuple[int, int]:
+    """The small cells of g whose spheres come within `reach` of the tool's surface, into room.cells; how many they are, and how
+    many cells wait for voxels that know nothing yet: their spheres' middles are in room.normals.
+
+    its (2, 3) : the box of the tool's net. sure : none is to wait, but to count as near.
     """
-    cells, children, stack = room.cells, room.children, search.stack
+    cells, children, waiting = room.cells, room.children, room.normals
     offset, tally, row_u, row_v, child_u, child_v, covers, ball, box = (
         g.offset, g.tally, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.box,
     )  # fmt: skip
     stamp, tick, last, across = g.sphere_stamp, g.tick, len(g.offset) - 2, g.tally[0, 1]
-    count, tests = 0, 0
+    count, tests, unknown = 0, 0, 0
     for k in range(len(box)):
         if not (covers[k] and near(box, k, its[0], its[1], reach)):
             continue
@@ -53,7 +61,13 @@ def near_cells(g: Patch, h: Patch, voxels: Voxels, its: Array, reach: float, roo
             level, c, d = stack[top, 0], stack[top, 1], stack[top, 2]
             at = offset[level] + c * tally[level, 1] + d
             tests += 1
-            if not near_surface(h, search, voxels, its, ball[at, 0], ball[at, 1], ball[at, 2], ball[at, 3] + reach):
+            away = least_distance(voxels, its, ball[at, 0], ball[at, 1], ball[at, 2])
+            if away > ball[at, 3] + reach:
+                continue
+            if away < 0.0 and not sure:
+                for a in range(3):
+                    waiting[unknown, a] = ball[at, a]
+                unknown += 1
                 continue
             if level == last or (
                 row_u[level, c + 1] - row_u[level, c] <= SMALL and row_v[level, d + 1] - row_v[level, d] <= SMALL
@@ -74,7 +88,7 @@ def near_cells(g: Patch, h: Patch, voxels: Voxels, its: Array, reach: float, roo
             if missing > 0:
                 fill_spheres(g, children, found)
     g.counters[4] += tests
-    return count
+    return count, unknown
 
 
 @njit_in_place
@@ -101,7 +115,12 @@ def surface_rows(
     if seed >= 0:
         visit[seed], names[0], place[seed], count = mark + 1, seed, 0, 1
     else:
-        near_by = near_cells(g, h, voxels, its, reach, room, search)
+        near_by, unknown = near_cells(g, voxels, its, reach, False, room, search.stack)
+        for attempt in range(TURNS):
+            if unknown == 0:
+                break
+            feet(h, voxels, search, room.normals[:unknown], np.inf, best[:unknown], state[:unknown])
+            near_by, unknown = near_cells(g, voxels, its, reach, attempt == TURNS - 1, room, search.stack)
         count = list_vertices(g, all_cells, near_by, mark, names, place)
     # (from here on, those that are listed carry the number behind the mark)
     mark += 1

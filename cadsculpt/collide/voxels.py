@@ -38,7 +38,6 @@ class Voxels(NamedTuple):
 
     Of each row: names, the cube; foot (n, 9), its middle's distance from the surface, and u, v, S_u, S_v of the closest
     point; its candidates table[first[k] : first[k + 1]] and final[...], as in `closest.candidates`. used (1,) : rows.
-    probe (1, 3), answer (1, 9), kind (1,) : to ask for one point.
     """
 
     low: Array
@@ -51,9 +50,6 @@ class Voxels(NamedTuple):
     table: Array
     final: Index
     used: Index
-    probe: Array
-    answer: Array
-    kind: Index
 
 
 def voxels_about(extent: Array, edge: float, cells: int, kept: Voxels | None = None) -> Voxels:
@@ -77,7 +73,7 @@ def voxels_about(extent: Array, edge: float, cells: int, kept: Voxels | None = N
     return Voxels(
         low, edge, counts, np.zeros(slots, np.int32), np.zeros(MOST_KNOWN, np.int64),
         np.empty((MOST_KNOWN, 9)), np.zeros(MOST_KNOWN + 1, np.int64), np.empty((rows, 5)), np.empty((rows, 3), np.int64),
-        np.zeros(1, np.int64), np.zeros((1, 3)), np.zeros((1, 9)), np.zeros(1, np.int64),
+        np.zeros(1, np.int64),
     )  # fmt: skip
 
 
@@ -176,18 +172,16 @@ def keep(h: Patch, search: Search, voxels: Voxels, number: int, count: int, dist
 
 
 @njit_inline_in_place
-def near_surface(
-    h: Patch, search: Search, voxels: Voxels, its: Array, x: float, y: float, z: float, reach: float
-) -> bool:
-    """False only where the surface is farther than `reach` from the point. its (2, 3) : a box about the surface."""
+def least_distance(voxels: Voxels, its: Array, x: float, y: float, z: float) -> float:
+    """No more than the distance of the surface from a point; -1 where its voxel does not know yet. its (2, 3) : a box about the
+    surface."""
     number = voxel_at(voxels, x, y, z)
     if number < 0:
         a, b = max(0.0, its[0, 0] - x, x - its[1, 0]), max(0.0, its[0, 1] - y, y - its[1, 1])
         c = max(0.0, its[0, 2] - z, z - its[1, 2])
-        return math.sqrt(a * a + b * b + c * c) <= reach
+        return math.sqrt(a * a + b * b + c * c)
+    row = voxels.slot[number] - 1
+    if row < 0:
+        return -1.0
     a, b, c = middle(voxels, number)
-    if voxels.slot[number] == 0:
-        voxels.probe[0, 0], voxels.probe[0, 1], voxels.probe[0, 2] = a, b, c
-        feet(h, voxels, search, voxels.probe, np.inf, voxels.answer, voxels.kind)
-    away = math.sqrt((a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2)
-    return voxels.foot[voxels.slot[number] - 1, 0] - away <= reach
+    return max(0.0, voxels.foot[row, 0] - math.sqrt((a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2))
