@@ -92,8 +92,8 @@ def njit(function: F) -> F:
 
 
 def njit_in_place(function: F) -> F:
-    """As `njit`, for kernels that allocate nothing and call none that does: numba then counts no references, which costs an
-    atomic operation for every array that a call, a slice or a field of a tuple hands on."""
+    """As `njit`, for kernels that allocate nothing, call none that does, and return numbers alone: numba then counts no
+    references, which costs an atomic operation for every array that a call, a slice or a field of a tuple hands on."""
     return _once(numba.njit(cache=True, nogil=True, fastmath=False, _nrt=False)(function))  # type: ignore[no-any-return]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GeometryError
-from ..jit import njit, njit_in_place, njit_inline_in_place
+from ..jit import njit, njit_in_place, njit_inline, njit_inline_in_place
 from .grid import PatchGrid
 
 Array = NDArray[np.float64]
@@ -450,7 +450,7 @@ def spans_of(g: Patch) -> Spans:
     )  # fmt: skip
 
 
-@njit_inline_in_place
+@njit_inline
 def tree_of(g: Patch) -> Tree:
     """The cells of a loaded patch."""
     return Tree(g.tally, g.offset, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.mark, g.slot)
