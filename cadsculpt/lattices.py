@@ -64,7 +64,10 @@ class Lattices:
         """The states of other groups of the same patches."""
         of_patch = self.of_patches(states)
         self.groups = groups
-        return self.joined(of_patch)
+        states = self.joined(of_patch)
+        for state in states:
+            state.bound.seen[...] = np.inf  # of a lattice that is another one now
+        return states
 
     def of_patches(self, states: Sequence[LatticeState]) -> list[LatticeState]:
         """The state of every patch: views."""
@@ -82,6 +85,9 @@ class Lattices:
                 mine = group.nodes_of(i)
                 state.x[mine], state.velocity[mine] = of_patch[i].x, of_patch[i].velocity
                 state.rest_length[:, mine] = of_patch[i].rest_length
+                bound = of_patch[i].bound
+                state.bound.scale[mine], state.bound.seen[mine] = bound.scale, bound.seen
+            state.bound.square = max(of_patch[i].bound.square for i in group.patches)
             states.append(state)
         return states
 

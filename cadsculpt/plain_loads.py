@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .collide.contacts import Contacts
 from .groups import Group
-from .jit import njit
+from .jit import njit_in_place
 from .model import Model
 from .motion.pose import Pose
 from .physics.contact_law import contact_numbers
@@ -167,9 +167,11 @@ class PlainLoads:
 
 def _overwrite(target: LatticeState, source: LatticeState) -> None:
     target.x[...], target.velocity[...], target.rest_length[...] = source.x, source.velocity, source.rest_length
+    target.bound.square = source.bound.square
+    target.bound.scale[...], target.bound.seen[...] = source.bound.scale, source.bound.seen
 
 
-@njit
+@njit_in_place
 def all_rigid(face: Index, b: Index, patches: int, rigid: NDArray[np.bool_]) -> bool:
     """Every face is one of the first `patches`, and every b rigid."""
     plain = True
@@ -178,7 +180,7 @@ def all_rigid(face: Index, b: Index, patches: int, rigid: NDArray[np.bool_]) -> 
     return plain
 
 
-@njit
+@njit_in_place
 def at_rest(x: Array, nodes: Array, velocity: Array, rest_length: Array, initial_length: Array) -> bool:
     """Nodes where they were, without velocity, and springs of their initial lengths."""
     for n in range(len(x)):
@@ -192,7 +194,7 @@ def at_rest(x: Array, nodes: Array, velocity: Array, rest_length: Array, initial
     return True
 
 
-@njit
+@njit_in_place
 def carried(b: Index, first: int, point: Array, at: Array, turn: Array, dt: float, velocity: Array) -> None:
     """Mean velocity (n, 3) of points (n, 3) that each move with the tool b - first (n,), from the poses at[0] (tools, 3),
     turn[0] (tools, 3, 3) to at[1], turn[1]; 0 where that is none."""
@@ -210,7 +212,7 @@ def carried(b: Index, first: int, point: Array, at: Array, turn: Array, dt: floa
             velocity[c, i] = (end - point[c, i]) / dt
 
 
-@njit
+@njit_in_place
 def gather(
     face: Index, u: Array, v: Array, normal: Array, depth: Array, area: Array, velocity: Array, wanted: int, count: int,
     mine: Index, out_u: Array, out_v: Array, out_normal: Array, out_depth: Array, out_area: Array, out_velocity: Array,
@@ -228,7 +230,7 @@ def gather(
     return count
 
 
-@njit
+@njit_in_place
 def by_material(
     numbers: Array, material: Index, i: Index, j: Index, stiffness: Array, damping: Array, friction: Array
 ) -> None:
@@ -238,7 +240,7 @@ def by_material(
         stiffness[c], damping[c], friction[c] = numbers[kind, 0], numbers[kind, 1], numbers[kind, 2]
 
 
-@njit
+@njit_in_place
 def scatter(mine: Index, force: Array, depth: Array, forces: Array, depths: Array) -> None:
     """What came of the contacts `mine`, to their places among all."""
     for t in range(len(mine)):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.contacts import KEYS, Columns, ContactBuffer, Contacts
-from .jit import njit
+from .jit import njit_in_place
 from .motion.pose import Pose
 
 Array = NDArray[np.float64]
@@ -166,7 +166,7 @@ def _pairs(contacts: Contacts, depths: Array) -> Iterator[tuple[tuple[int, int],
         yield pair, float(np.maximum(contacts.depth, depths)[mine].max()), mine
 
 
-@njit
+@njit_in_place
 def sum_acts(
     a: Index, b: Index, first: int, point: Array, depth: Array, area: Array, forces: Array, depths: Array, middle: Array,
     share: float, metre: float, force: Array, torque: Array, greatest: Array, acting: Mask,
@@ -211,7 +211,7 @@ def sum_acts(
     return count
 
 
-@njit
+@njit_in_place
 def keep_acting(
     rows: Columns, forces: Array, depths: Array, acting: Mask, out: Columns, out_forces: Array, out_depths: Array
 ) -> None:

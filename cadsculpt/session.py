@@ -52,8 +52,6 @@ QUIET = 0.1
 """Share of the stride that bodies may move by themselves where the way ahead of the tools is looked at, which takes their
 shapes as they are."""
 
-_LATTICE_STATE = ("x", "velocity", "rest_length")
-
 
 @dataclass(slots=True, eq=False)
 class State:
@@ -422,8 +420,7 @@ class Session:
         of_patch = self._lattices.of_patches(state.lattices)
         for i, (lattice, net) in enumerate(zip(of_patch, state.control_points, strict=True)):
             arrays[f"net_{i}"] = np.array(net)
-            for name in _LATTICE_STATE:
-                arrays[f"lattice_{i}_{name}"] = np.asarray(getattr(lattice, name))
+            arrays |= {f"lattice_{i}_{name}": values for name, values in lattice.arrays().items()}
         return arrays
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
@@ -431,8 +428,8 @@ class Session:
         patches = self.model.patches
         try:
             lattices = [
-                LatticeState(*(np.array(arrays[f"lattice_{i}_{name}"]) for name in _LATTICE_STATE))
-                for i in range(len(patches))
+                LatticeState.of_arrays({name: arrays[f"lattice_{i}_{name}"] for name in lattice.arrays()})
+                for i, lattice in enumerate(self._lattices.of_patches(self.state.lattices))
             ]
             nets = [np.array(arrays[f"net_{i}"]) for i in range(len(patches))]
             touched = np.array(arrays["touched"])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .collide.contacts import ContactBuffer
-from .jit import njit
+from .jit import njit_in_place
 from .model import Model
 from .motion.pose import Pose
 from .reaction import StepActs
@@ -94,7 +94,7 @@ class StepWorkspace:
         return bool(any_untouched(a, b, self._place, touched))
 
 
-@njit
+@njit_in_place
 def farthest(at: Array, turn: Array, reach: Array, middle: Array, half: float) -> float:
     """The longest way of any point of the tools from the poses at[0] (tools, 3), turn[0] (tools, 3, 3) to at[1], turn[1].
 
@@ -120,7 +120,7 @@ def farthest(at: Array, turn: Array, reach: Array, middle: Array, half: float) -
     return longest
 
 
-@njit
+@njit_in_place
 def moved_net(rest: Array, delta: Array, before: Array, net: Array) -> bool:
     """rest + delta (r, s, 3) into `net`, rest where delta is 0; whether it is another net than `before`."""
     changed = False
@@ -133,7 +133,7 @@ def moved_net(rest: Array, delta: Array, before: Array, net: Array) -> bool:
     return changed
 
 
-@njit
+@njit_in_place
 def any_untouched(a: Index, b: Index, place: Index, touched: Array) -> bool:
     """Some contact is of a pair whose `touched` is NaN."""
     found = False

@@ -151,16 +151,20 @@ def test_a_ball_between_a_tool_and_a_plate_is_pressed_alike_from_both_sides():
         {"shape": "half_space"},
     )
     session = Session(model)
+    plate, pressed = [], []
     for k in range(model.steps):
         reaction = session.step(dt=model.step_length(k))["ball"]
-    contacts = session.contacts
-    below = contacts.b == 1
+        contacts = session.contacts
+        below = contacts.b == 1
+        on_plate, on_ball = session.forces[below].sum(axis=0), session.forces[~below].sum(axis=0)
+        np.testing.assert_allclose(on_ball, -reaction.force, atol=1e-12)
+        plate.append(on_plate[2])
+        pressed.append(on_ball[2])
     assert set(zip(contacts.a.tolist(), contacts.b.tolist(), strict=True)) == {(0, 1), (1, 2)}
-    on_plate, on_ball = session.forces[below].sum(axis=0), session.forces[~below].sum(axis=0)
-    assert on_plate[2] < -0.01
-    np.testing.assert_allclose(on_ball, -reaction.force, atol=1e-12)
-    # what the tool presses with goes through the ball into the plate
-    assert on_plate[2] == pytest.approx(on_ball[2], rel=0.02)
+    # what the tool presses with goes through the ball into the plate; the ball trembles between them
+    last = model.steps // 4
+    assert np.mean(plate[-last:]) < -0.01
+    assert np.mean(plate[-last:]) == pytest.approx(np.mean(pressed[-last:]), rel=0.02)
 
 
 def test_nothing_holds_a_quasi_static_body():

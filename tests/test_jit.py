@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
+import cadsculpt
 from cadsculpt.jit import on_compilation
 
 KERNELS = """
@@ -61,3 +64,17 @@ def test_a_compilation_is_told_once_and_a_cached_kernel_is_none(tmp_path):
     assert told == ["compiling"]
     kernels(path).total(np.ones(3, dtype=np.float32))
     assert told == ["compiling"]
+
+
+def test_kernels_that_count_no_references_return_numbers_alone():
+    """An array that one of them returned would be freed by its caller, which believes that it owns a reference."""
+    plain, found = {"None", "int", "float", "bool", "tuple"}, 0
+    for path in Path(cadsculpt.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            if any("in_place" in ast.unparse(decorator) for decorator in node.decorator_list):
+                returns = ast.unparse(node.returns) if node.returns is not None else "nothing"
+                assert set(re.findall(r"\w+", returns)) <= plain, f"{path.name}: {node.name} returns {returns}"
+                found += 1
+    assert found > 50

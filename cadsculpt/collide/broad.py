@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GeometryError
-from ..jit import njit, njit_inline
+from ..jit import njit, njit_in_place, njit_inline_in_place
 from .workspace import grown
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ def candidate_pairs(boxes_a: Array, boxes_b: Array, margin: float = 0.0) -> Inde
     return pairs[np.argsort(pairs[:, 0] * len(b) + pairs[:, 1])]
 
 
-@njit_inline
+@njit_inline_in_place
 def come_near(a: Array, i: int, b: Array, k: int, margin: float) -> bool:
     """Box i of a and box k of b come within `margin` along every axis."""
     return bool(
@@ -108,7 +108,7 @@ def near_box(boxes: Array, low: Array, high: Array, margin: float, diagonals: fl
     return out[: fill_near(boxes, low, high, margin, diagonals, out)].copy()
 
 
-@njit
+@njit_in_place
 def fill_near(boxes: Array, low: Array, high: Array, margin: float, diagonals: float, out: Index) -> int:
     """The boxes of `near_box` into out; how many they are."""
     count = 0
@@ -179,7 +179,7 @@ def boxes_of(numbers: Array, starts: Index) -> Array:
     return out
 
 
-@njit
+@njit_in_place
 def fill_boxes_of(numbers: Array, starts: Index, which: Index, count: int, out: Array) -> int:
     """The boxes of `boxes_of` into the rows which[:count] of out; the first row that is not finite, or -1."""
     wrong = -1

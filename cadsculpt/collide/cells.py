@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit, njit_in_place
 from ..spline.region import OFF, ON, Region
 from .workspace import Patch, Spans, spans_of
 
@@ -188,7 +188,7 @@ def make_cells(
             cut[t] = ACROSS_V if v1 - v0 > least_v else WHOLE
 
 
-@njit
+@njit_in_place
 def to_bezier(knots: Array, p: int, span: int, low: float, high: float, out: Array, row: Array) -> None:
     """The matrix (p + 1, p + 1) from the control points of a knot span to the Bezier points over [low, high] inside it.
 
@@ -210,7 +210,7 @@ def to_bezier(knots: Array, p: int, span: int, low: float, high: float, out: Arr
             out[k, c] = row[p, c]
 
 
-@njit
+@njit_in_place
 def span_holding(parameter: Array, row: Index, spans: int, t: float) -> int:
     """The knot span (of `spans`, whose borders are parameter[row[0]]) that holds t."""
     low, high = 0, spans

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit_in_place
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -156,7 +156,7 @@ class ContactBuffer:
             self.append(ordered)
 
 
-@njit
+@njit_in_place
 def sorted_rows(rows: Columns, start: int, stop: int) -> bool:
     """The rows from start to stop are in the order (a, b, face, u, v)."""
     a, b, face, u, v = rows.a, rows.b, rows.face, rows.u, rows.v

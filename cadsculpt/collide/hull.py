@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit, njit_in_place
 from ..spline.surface import BSplineSurface
 from .workspace import Patch
 
@@ -72,7 +72,7 @@ def convex_hull(points: Array) -> Hull:
     return Hull(np.zeros(1, np.int64), np.zeros((1, 3), np.int64), 0)
 
 
-@njit
+@njit_in_place
 def farthest(points: Array, x: float, y: float, z: float) -> int:
     """The support of a hull: the point (of (n, >= 3)) farthest along a direction; the first of equals."""
     best, at = -np.inf, 0
@@ -239,7 +239,7 @@ def whole(box: Array) -> tuple[Array, Array]:
     return low, high
 
 
-@njit
+@njit_in_place
 def near(box: Array, k: int, low: Array, high: Array, margin: float) -> bool:
     """Box k comes within `margin` of the box from low to high, along each axis."""
     meets = True

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit, njit_in_place
 from .spheres import fill_spheres, make_spheres
 from .workspace import Patch, Tree, Workspace, canonical, grown, make_points, tree_of
 
@@ -62,7 +62,7 @@ def refine(g: Patch, cells: Index, distance: Array, margin: float) -> tuple[Inde
     return out[:count], make_spheres(g, out, count)[0], False
 
 
-@njit
+@njit_in_place
 def nearby(g: Patch, cells: Index, count: int, distance: Array, margin: float) -> tuple[int, int]:
     """Drop those of cells[:count], of one level, whose spheres stay away from the tool; how many are left, in front, and
     at most how many children they have: 0 where the loop of 4.5 ends with them."""
@@ -90,7 +90,7 @@ def nearby(g: Patch, cells: Index, count: int, distance: Array, margin: float) -
     return kept, 0 if ended else children * kept
 
 
-@njit
+@njit_in_place
 def split_cells(g: Patch, cells: Index, count: int, out: Index) -> int:
     """The children of cells[:count], of one level, into out (n, 3); how many they are."""
     level = cells[0, 0]
@@ -121,7 +121,7 @@ def vertices_of(g: Patch, cells: Index, mark: int) -> Index:
     return names[:count].copy()
 
 
-@njit
+@njit_in_place
 def mark_vertices(g: Patch, cells: Index, cells_count: int, mark: int, names: Index) -> int:
     """Mark the finest vertices on the face that cells[:cells_count] hold in g.visit; those that did not carry the mark
     into `names`, and how many they are."""
@@ -140,7 +140,7 @@ def mark_vertices(g: Patch, cells: Index, cells_count: int, mark: int, names: In
     return count
 
 
-@njit
+@njit_in_place
 def in_order(g: Patch, names: Index, count: int, mark: int) -> None:
     """Sort names[:count], all of which carry `mark` in g.visit and no other vertex does."""
     n, visit = len(g.v), g.visit

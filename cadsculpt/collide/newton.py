@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit_in_place
 from ..spline.basis import find_span
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ SPOKES = 32
 """Directions out of a pole that are tried for one that leads nearer."""
 
 
-@njit
+@njit_in_place
 def newton(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, wrap_u: bool, wrap_v: bool, poles: int,
     slack: float, beyond: float, x: float, y: float, z: float, found: Array, h: Array,
@@ -187,7 +187,7 @@ def newton(
     return BORDER if open_border else PROPER
 
 
-@njit
+@njit_in_place
 def off_pole(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, poles: int, u: float, v: float, f: float,
     x: float, y: float, z: float, h: Array, scratch: Array, frames: Array, terms: Array, stamp: Index, tick: int,
@@ -236,7 +236,7 @@ def off_pole(
     return u, v
 
 
-@njit
+@njit_in_place
 def cross(h: Array) -> tuple[float, float, float]:
     """S_u x S_v of h (6, 4)."""
     return (
@@ -246,13 +246,13 @@ def cross(h: Array) -> tuple[float, float, float]:
     )
 
 
-@njit
+@njit_in_place
 def rests_inside(u: float, du: float, v: float, dv: float, u0: float, u1: float, v0: float, v1: float) -> bool:
     """The step ends inside the domain."""
     return u + du >= u0 and u + du <= u1 and v + dv >= v0 and v + dv <= v1
 
 
-@njit
+@njit_in_place
 def inside(t: float, low: float, high: float, wrap: bool) -> float:
     """t brought back into [low, high]: around a closed direction, else to the border."""
     if t >= low and t <= high:
@@ -262,7 +262,7 @@ def inside(t: float, low: float, high: float, wrap: bool) -> float:
     return low if t < low else high
 
 
-@njit
+@njit_in_place
 def compass(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, wrap_u: bool, wrap_v: bool,
     tolerance: float, u: float, v: float, x: float, y: float, z: float, h: Array,
@@ -294,7 +294,7 @@ def compass(
     return u, v
 
 
-@njit
+@njit_in_place
 def polynomial(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, scratch: Array, frames: Array, terms: Array,
     stamp: Index, tick: int, u: float, v: float, x: float, y: float, z: float, h: Array,
@@ -336,7 +336,7 @@ def polynomial(
     return float(rx * rx + ry * ry + rz * rz)
 
 
-@njit
+@njit_in_place
 def expand(net: Array, p: int, q: int, frames: Array, a: int, b: int, terms: Array) -> None:
     """Taylor's series of the span (a, b) about its middle, in parts of half the span, into terms[a, b]."""
     for i in range(p + 1):
@@ -351,7 +351,7 @@ def expand(net: Array, p: int, q: int, frames: Array, a: int, b: int, terms: Arr
                 terms[a, b, i * (q + 1) + j, c] = total
 
 
-@njit
+@njit_in_place
 def quotient(h: Array) -> None:
     """From w S and its derivatives in h (6, 4), those of w in column 3, to S and its derivatives."""
     w, wu, wv, wuu, wuv, wvv = h[0, 3], h[1, 3], h[2, 3], h[3, 3], h[4, 3], h[5, 3]
@@ -364,7 +364,7 @@ def quotient(h: Array) -> None:
         h[5, c] = (h[5, c] - 2.0 * wv * h[2, c] - wvv * h[0, c]) / w
 
 
-@njit
+@njit_in_place
 def approach(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, rational: bool, u: float, v: float,
     x: float, y: float, z: float, h: Array, scratch: Array,
@@ -401,7 +401,7 @@ def approach(
     return float(rx * rx + ry * ry + rz * rz)
 
 
-@njit
+@njit_in_place
 def basis_2(knots: Array, p: int, span: int, t: float, scratch: Array, row: int) -> None:
     """The p + 1 nonzero basis functions and their first two derivatives into scratch[row : row + 3] (Piegl and Tiller,
     eq. 2.7); scratch[6:9] is used on the way. The same numbers as `basis.basis_derivatives`, without allocating."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit, njit_inline
+from ..jit import njit, njit_in_place, njit_inline_in_place
 from ..spline.bounds import S_UU, S_UV, S_VV, span_bounds
 from ..spline.region import OFF, Region
 from .cells import cells_of
@@ -46,7 +46,7 @@ THIN = 1.0 / 64.0
 """Where a part's middle is off the face, the face in it may be a strip: it is cut down to this share of the tolerance."""
 
 
-@njit_inline
+@njit_inline_in_place
 def quad_area(points: Array, p00: int, p10: int, p01: int, p11: int) -> float:
     """Area of the quadrilateral of four vertices: half the cross product of its diagonals."""
     ux, uy, uz = points[p11, 0] - points[p00, 0], points[p11, 1] - points[p00, 1], points[p11, 2] - points[p00, 2]
@@ -55,7 +55,7 @@ def quad_area(points: Array, p00: int, p10: int, p01: int, p11: int) -> float:
     return float(0.5 * np.sqrt(x * x + y * y + z * z))
 
 
-@njit_inline
+@njit_inline_in_place
 def ring_of(k: int, m: int, n: int, poles: int) -> tuple[int, int, int, int, float]:
     """The finest cells (i from, to, j from, to; ends included, not yet brought into the grid) around the vertex k, and
     its share of each: a quarter, or a half at a pole, which is two corners of its cells."""
@@ -68,7 +68,7 @@ def ring_of(k: int, m: int, n: int, poles: int) -> tuple[int, int, int, int, flo
     return low_i, high_i, low_j, high_j, share
 
 
-@njit_inline
+@njit_inline_in_place
 def in_grid(c: int, cells: int, wrap: bool) -> int:
     """A cell's row brought into the grid over a closed seam, or -1 beyond the border."""
     if c >= 0 and c < cells:
@@ -93,7 +93,7 @@ def vertex_rows(g: Patch, names: Index) -> tuple[Array, Array, Array]:
     return uv, out, area
 
 
-@njit
+@njit_in_place
 def vertex_areas(g: Patch, names: Index, count: int, area: Array) -> None:
     """The areas that the vertices names[:count] stand for; those of the cells around are each made once per net."""
     tick, m, n = g.tick, len(g.u), len(g.v)
@@ -194,7 +194,7 @@ def unresolved(g: Patch, cells: Index, margin: float, names: Index, depths: Arra
     return maybe[:left, :2].copy()
 
 
-@njit
+@njit_in_place
 def unresolved_cells(
     g: Patch,
     cells: Index,

@@ -17,6 +17,7 @@ from .broad import Extents, fill_near, near_box
 from .contacts import ContactBuffer, Contacts
 from .grid import PatchGrid
 from .shapes import PosedShape, into_frame
+from .voxels import Voxels, voxels_about
 from .workspace import Patch, Workspace
 
 Array = NDArray[np.float64]
@@ -230,6 +231,7 @@ class DetectCache:
     local: dict[tuple[int, int], Array] = field(default_factory=dict)
     near: Index = field(default_factory=lambda: np.empty(0, np.int64))
     box: Array = field(default_factory=lambda: np.empty((2, 3)))
+    voxels: dict[int, tuple[Workspace, int, Voxels]] = field(default_factory=dict)
 
     def boxes(self, key: int, nets: Sequence[Array], whose: str) -> Array:
         """Boxes (n, 2, 3) of nets: key is -1 for the model's, else the tool. Raises GeometryError for one that is not
@@ -251,6 +253,16 @@ class DetectCache:
         if work is None or work.grid is not grid:
             work = self.workspaces[key] = Workspace(grid, self.counters)
         return work
+
+    def voxels_of(self, tool: int, work: Workspace) -> Voxels:
+        """The voxels about a tool of one patch, of the size of its finest cells."""
+        kept = self.voxels.get(tool)
+        if kept is None or kept[0] is not work or kept[1] != work.patch.tick:
+            edge = max(math.dist(*work.extent.tolist()), 1e-300) / max(min(work.grid.shape) - 1, 1)
+            same = kept[2] if kept is not None and kept[0] is work else None
+            kept = work, work.patch.tick, voxels_about(work.extent, edge, int(work.grid.offset[-1]), same)
+            self.voxels[tool] = kept
+        return kept[2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit_in_place
 from .closest import NOTHING, merge, project
 from .grid import PatchGrid
 from .newton import BORDER, DISTANCE, NORMAL, POINT, U, V
@@ -69,7 +69,7 @@ def outside_box(box: Array, points: Array) -> Array:
     return np.asarray(np.linalg.norm(np.maximum(0.0, np.maximum(box[0] - points, points - box[1])), axis=1))
 
 
-@njit
+@njit_in_place
 def merge_all(mine: Array, kind: Index, patch: int, tie: float, best: Array, state: Index, owner: Index) -> None:
     """`closest.merge` of every row (n, 9) that holds anything."""
     for i in range(len(mine)):
@@ -77,7 +77,7 @@ def merge_all(mine: Array, kind: Index, patch: int, tie: float, best: Array, sta
             merge(mine[i], kind[i], patch, tie, i, best, state, owner)
 
 
-@njit
+@njit_in_place
 def nearest_piece(points: Array, a: Array, b: Array, chosen: Index, part: Array) -> None:
     """For each point (n, 3) the nearest of the segments from a to b (k, 3), and the place on it, 0 to 1."""
     for i in range(len(points)):

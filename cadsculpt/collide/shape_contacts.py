@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..jit import njit
+from ..jit import njit_in_place
 from .contacts import Columns
 from .field_contacts import below_vertices
 from .levels import in_order, mark_vertices, nearby, split_cells
@@ -48,7 +48,7 @@ def shape_contacts(run: Run, index: int, tool: FieldTool, shape: PosedShape) -> 
             below_vertices(run, index, face, tool.field, room.maybe[:left, :2].copy())
 
 
-@njit
+@njit_in_place
 def shape_rows(
     g: Patch, spans: Index, kind: int, sizes: Array, rounding: float, at: Array, turn: Array, margin: float,
     mark: int, mark_again: int, room: Room, rows: Columns, row: int, body: int, tool: int, face: int,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit_in_place
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class PosedShape:
     rotation: Array
 
 
-@njit
+@njit_in_place
 def world_box(corners: Array, at: Array, rotation: Array, out: Array) -> bool:
     """The box (2, 3) in the world of a box in a frame, infinite where that is; whether it is a number."""
     finite, known = True, True
@@ -52,7 +52,7 @@ def world_box(corners: Array, at: Array, rotation: Array, out: Array) -> bool:
     return known
 
 
-@njit
+@njit_in_place
 def into_frame(points: Array, at: Array, rotation: Array) -> None:
     """Points (r, s, 3) of the world, in place, into the frame x_world = rotation @ x + at."""
     for i in range(points.shape[0]):
@@ -62,7 +62,7 @@ def into_frame(points: Array, at: Array, rotation: Array) -> None:
                 points[i, j, c] = x * rotation[0, c] + y * rotation[1, c] + z * rotation[2, c]
 
 
-@njit
+@njit_in_place
 def world_field(
     kind: int, parameters: Array, rounding: float, at: Array, rotation: Array, x: Array, d: Array, n: Array
 ) -> None:
@@ -79,7 +79,7 @@ def world_field(
             n[t, c] = rotation[c, 0] * px + rotation[c, 1] * py + rotation[c, 2] * pz
 
 
-@njit
+@njit_in_place
 def shape_field(kind: int, p: Array, rounding: float, x: Array, d: Array, n: Array) -> None:
     """Signed distance d (m,) and outward normal n (m, 3) of a shape at points x (m, 3)."""
     for i in range(len(x)):
@@ -125,7 +125,7 @@ def shape_field(kind: int, p: Array, rounding: float, x: Array, d: Array, n: Arr
             _ellipsoid(px, py, pz, p, i, d, n)
 
 
-@njit
+@njit_in_place
 def _unit(x: float, y: float, z: float, length: float, out: Array) -> None:
     if length > 0.0:
         out[0], out[1], out[2] = x / length, y / length, z / length
@@ -133,12 +133,12 @@ def _unit(x: float, y: float, z: float, length: float, out: Array) -> None:
         out[0], out[1], out[2] = 0.0, 0.0, -1.0
 
 
-@njit
+@njit_in_place
 def _sign(x: float) -> float:
     return 1.0 if x >= 0.0 else -1.0
 
 
-@njit
+@njit_in_place
 def _rectangle(r: float, z: float, a: float, b: float) -> tuple[float, float, float]:
     """Distance and normal of the quarter rectangle [0, a] x [0, b] at r, z >= 0."""
     qr, qz = r - a, z - b
@@ -150,7 +150,7 @@ def _rectangle(r: float, z: float, a: float, b: float) -> tuple[float, float, fl
     return qz, 0.0, 1.0
 
 
-@njit
+@njit_in_place
 def _cone(r: float, z: float, radius: float, height: float) -> tuple[float, float, float]:
     """Distance and normal of the triangle (0, 0), (radius, height), (0, height) in the half plane r >= 0."""
     slant2 = radius * radius + height * height
@@ -174,7 +174,7 @@ def _cone(r: float, z: float, radius: float, height: float) -> tuple[float, floa
     return cap, cap_r / cap, cap_z / cap
 
 
-@njit
+@njit_in_place
 def _box(px: float, py: float, pz: float, size: Array, rounding: float, i: int, d: Array, n: Array) -> None:
     q0 = abs(px) - (0.5 * size[0] - rounding)
     q1 = abs(py) - (0.5 * size[1] - rounding)
@@ -199,7 +199,7 @@ def _box(px: float, py: float, pz: float, size: Array, rounding: float, i: int, 
         n[i, 2] = _sign(pz)
 
 
-@njit
+@njit_in_place
 def _ellipsoid(px: float, py: float, pz: float, e: Array, i: int, d: Array, n: Array) -> None:
     """Eberly, "Distance from a point to an ellipsoid": the one root of g(t) = sum (e y / (t + e^2))^2 - 1 right of -min e^2.
 

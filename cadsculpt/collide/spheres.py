@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit, njit_inline
+from ..jit import njit, njit_in_place, njit_inline_in_place
 from ..spline.bounds import S_UU, S_UV, S_VV, span_bounds
 from .workspace import Patch, canonical, make_points
 
@@ -29,14 +29,14 @@ COLLINEAR = 1e-6
 cell."""
 
 
-@njit_inline
+@njit_inline_in_place
 def distance2(points: Array, a: int, b: int) -> float:
     """Squared distance of two points."""
     x, y, z = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
     return float(x * x + y * y + z * z)
 
 
-@njit
+@njit_in_place
 def circle(points: Array, a: int, b: int, c: int, out: Array) -> bool:
     """Centre of the circle through three points into out[0:3], its squared radius into out[3]; False when collinear."""
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
@@ -55,14 +55,14 @@ def circle(points: Array, a: int, b: int, c: int, out: Array) -> bool:
     return True
 
 
-@njit_inline
+@njit_inline_in_place
 def away2(points: Array, a: int, centre: Array) -> float:
     """Squared distance of a point from a centre."""
     x, y, z = points[a, 0] - centre[0], points[a, 1] - centre[1], points[a, 2] - centre[2]
     return float(x * x + y * y + z * z)
 
 
-@njit
+@njit_in_place
 def smallest_sphere(points: Array, ids: Index, out: Array, trial: Array) -> None:
     """The smallest sphere that holds four points: of two, three or four of them. Centre and squared radius into out
     (4,)."""
@@ -91,7 +91,7 @@ def smallest_sphere(points: Array, ids: Index, out: Array, trial: Array) -> None
         out[c] = 0.25 * (points[ids[0], c] + points[ids[1], c] + points[ids[2], c] + points[ids[3], c])
 
 
-@njit
+@njit_in_place
 def paper_sphere(points: Array, ids: Index, held: bool, out: Array, trial: Array) -> None:
     """The circle through the longer diagonal's ends and the one of the other two points whose circle holds the last.
 
@@ -109,7 +109,7 @@ def paper_sphere(points: Array, ids: Index, held: bool, out: Array, trial: Array
         smallest_sphere(points, ids, out, trial)
 
 
-@njit
+@njit_in_place
 def sphere_of(points: Array, p00: int, p10: int, p01: int, p11: int, paper: bool, ids: Index, out: Array) -> None:
     """The sphere of four neighbouring points: centre into out[0:3], radius into out[3]. ids (4,), out[4:8] :
     scratch."""
@@ -141,7 +141,7 @@ def make_spheres(g: Patch, cells: Index, count: int) -> tuple[Array, Array]:
     return centre, size
 
 
-@njit
+@njit_in_place
 def fill_spheres(g: Patch, cells: Index, count: int) -> None:
     """Spheres of cells[:count] (level, ku, kv), each made once per net.
 
@@ -214,7 +214,7 @@ def fill_spheres(g: Patch, cells: Index, count: int) -> None:
     g.counters[3] += made
 
 
-@njit
+@njit_in_place
 def normals_agree(g: Patch, level: int, ku: int, kv: int) -> bool:
     """The normals at the points that the next level would make, and at the corners, agree within delta (paper
     4.5.1)."""
@@ -224,7 +224,7 @@ def normals_agree(g: Patch, level: int, ku: int, kv: int) -> bool:
         k0, k1 = g.child_u[level, ku], g.child_u[level, ku + 1]
         l0, l1 = g.child_v[level, kv], g.child_v[level, kv + 1]
     least = np.cos(g.delta)
-    t = np.empty((3, 4))
+    t = g.work[2:]
     x0, y0, z0 = 0.0, 0.0, 0.0
     for k in range(k0, k1 + 1):
         for l in range(l0, l1 + 1):
@@ -244,7 +244,7 @@ def normals_agree(g: Patch, level: int, ku: int, kv: int) -> bool:
     return True
 
 
-@njit
+@njit_in_place
 def grid_tangents(
     net: Array, rows_u: Array, rows_v: Array, first_u: Index, first_v: Index, i: int, j: int, t: Array
 ) -> None:

@@ -89,6 +89,7 @@ def _one_patch_contacts(run: Run, index: int, tool: SurfaceTool | RigidSurfaceTo
         net, at, turn = tool.nets[0], ORIGIN, UNTURNED
         run.cache.boxes(index, tool.nets, f"tool {index}")
     other, h = run.load((index, 0), tool.grids[0], net)
+    voxels = run.cache.voxels_of(index, other)
     if not world_box(other.extent, at, turn, run.cache.box):
         raise InputError("the tool's box is not a number", where=f"tool {index}")
     margin, out, reach = run.options.margin, run.out, max(run.options.margin, tool.reach)
@@ -106,7 +107,7 @@ def _one_patch_contacts(run: Run, index: int, tool: SurfaceTool | RigidSurfaceTo
             seed: int, felt: float, work: Workspace = work, rows: Columns = rows, face: int = face
         ) -> tuple[int, int, int]:
             found, cells, left = surface_rows(
-                work.patch, h, other.extent, seed, felt, np.inf if other.closed else felt, margin, tie, at, turn,
+                work.patch, h, voxels, other.extent, seed, felt, np.inf if other.closed else felt, margin, tie, at, turn,
                 work.new_mark(), work.new_mark(), work.new_mark(), work.room, work.waves, other.search, rows,
                 out.count, run.body, run.others[index], run.faces[face],
             )  # fmt: skip

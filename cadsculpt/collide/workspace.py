@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GeometryError
-from ..jit import njit, njit_inline
+from ..jit import njit, njit_in_place, njit_inline, njit_inline_in_place
 from .grid import PatchGrid
 
 Array = NDArray[np.float64]
@@ -224,7 +224,7 @@ class Workspace:
             mark=_integers(cells), slot=_integers(cells), visit=_integers(m * n), depth=np.empty(m * n),
             cell_area=np.empty(m * n), area_stamp=_integers(m * n),
             corners=np.empty(4 * most, np.int64), wanted=np.empty(most, np.int64), ids=_integers(4),
-            work=np.empty((2, 8)), frames=grid.frames,
+            work=np.empty((5, 8)), frames=grid.frames,
             terms=np.empty((r - p, s - q, (p + 1) * (q + 1), 4)), terms_stamp=_integers(r - p, s - q),
             tick=0, slack=0.0, paper=False, delta=0.0, counters=self.counters,
         )  # fmt: skip
@@ -342,7 +342,7 @@ def longer(rows: Array) -> Array:
     return out
 
 
-@njit
+@njit_in_place
 def extent_of(net: Array, out: Array) -> None:
     """The axis-aligned box of a net (r, s, 3), into out (2, 3): NaN anywhere makes it NaN."""
     for c in range(3):
@@ -358,7 +358,7 @@ def extent_of(net: Array, out: Array) -> None:
                 out[1, c] = max(out[1, c], x)
 
 
-@njit
+@njit_in_place
 def load(
     net: Array, weights: Array, target: Array, rows_u: Array, first_u: Index, rows_v: Array, first_v: Index,
     row_u: Index, row_v: Index, tally: Index, box: Array, extent: Array, flags: Index, rows: Array, edge: Array,
@@ -456,7 +456,7 @@ def tree_of(g: Patch) -> Tree:
     return Tree(g.tally, g.offset, g.row_u, g.row_v, g.child_u, g.child_v, g.covers, g.spheres, g.mark, g.slot)
 
 
-@njit_inline
+@njit_inline_in_place
 def canonical(i: int, j: int, m: int, n: int, wrap_u: bool, wrap_v: bool, poles: int) -> int:
     """The flat name of the vertex (i, j): one for both sides of a closed seam, one for a whole pole."""
     if wrap_u and i == m - 1:
@@ -471,7 +471,7 @@ def canonical(i: int, j: int, m: int, n: int, wrap_u: bool, wrap_v: bool, poles:
     return i * n + j
 
 
-@njit
+@njit_in_place
 def make_points(g: Patch, names: Index, count: int) -> None:
     """The points of the vertices names[:count], each made once per net (paper eq. 2, one sparse row against one
     column)."""

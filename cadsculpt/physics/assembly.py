@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .explicit import LatticeState
 from .lattice import Lattice
-from .springs import SCRATCH_ROWS, highest_frequency
+from .stability import FrequencyBound, largest_drag, least_bound
 from .ties import NO_TIES, TiedNodes, Ties, bodies, condensed, resolve
 
 Array = NDArray[np.float64]
@@ -47,7 +47,8 @@ class Assembly:
     def part_state(self, state: LatticeState, k: int) -> LatticeState:
         """The state of part k: views into the assembly's, to read, measure and draw with parts[k]."""
         mine = self.nodes_of(k)
-        return LatticeState(state.x[mine], state.velocity[mine], state.rest_length[:, mine])
+        bound = FrequencyBound(state.bound.square, state.bound.scale[mine], state.bound.seen[mine])
+        return LatticeState(state.x[mine], state.velocity[mine], state.rest_length[:, mine], bound)
 
 
 def assemble(parts: Sequence[Lattice], ties: Ties | None = None) -> Assembly:
@@ -114,19 +115,21 @@ def assemble(parts: Sequence[Lattice], ties: Ties | None = None) -> Assembly:
         yield_strain=np.concatenate([part.yield_strain for part in parts], axis=1),
         hardening=np.concatenate([part.hardening for part in parts], axis=1),
     )
-    square = highest_frequency(
-        lattice.segments,
-        lattice.stiffness,
-        lattice.rest_length,
-        inverse_mass,
-        lattice.nodes,
-        np.empty((SCRATCH_ROWS, count + 2)),
-        tied.nodes,
-        tied.start,
-        tied.masters,
-        tied.weights,
+    if len(tied.nodes):
+        square, scale = least_bound(
+            lattice.segments, lattice.stiffness, lattice.rest_length, inverse_mass, lattice.nodes, tied
+        )
+    else:
+        square = max(part.highest_frequency for part in parts)
+        scale = np.concatenate([part.frequency_scale for part in parts])
+    lattice = replace(
+        lattice,
+        highest_frequency=square,
+        frequency_scale=scale,
+        highest_drag=largest_drag(lattice.gamma, inverse_mass),
+        shortest=min(part.shortest for part in parts),
     )
-    return Assembly(replace(lattice, highest_frequency=square), parts, starts)
+    return Assembly(lattice, parts, starts)
 
 
 def _free_bodies(starts: Sequence[int], count: int, tied: TiedNodes, held: NDArray[np.bool_]) -> NDArray[np.int64]:

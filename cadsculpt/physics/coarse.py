@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit, njit_in_place
 from .lattice import Lattice, grids
 from .numbering import band_width, pieces, spread_over_masters, sweeps
 
@@ -32,7 +32,7 @@ LEAST_PIVOT = 1e-9
 """Of the diagonal, added to it: beside held nodes coarse functions may be the same."""
 
 
-@njit
+@njit_in_place
 def add_block(band: Array, p: int, q: int, block: Array, scale: float) -> None:
     """Add scale * block (3, 3) at places p >= q of the lower band in LAPACK's storage, transposed: band[j, i - j] = K_ij."""
     for r in range(3):
@@ -237,7 +237,7 @@ def _fill_coarse(
         _add_all(count, among, share, place, h, band)
 
 
-@njit
+@njit_in_place
 def _in_cell(n: int, e: int, at: Index, grid: Index, step: int, shares: Array, d: Array) -> int:
     """The coarse cell that holds nodes n and e, and d (8,), what its corners share in u_n - u_e; in u_n where they are one."""
     # a held node has no shares at all
@@ -275,7 +275,7 @@ def _in_cell(n: int, e: int, at: Index, grid: Index, step: int, shares: Array, d
     return grid[5] + cell
 
 
-@njit
+@njit_in_place
 def _add_cells(grid: Index, step: int, cells: Array, corner: Index, place: Index, h: Array, band: Array) -> None:
     last0 = grid[0] if grid[3] == 1 else max(1, grid[0] - 1)
     last1 = grid[1] if grid[4] == 1 else max(1, grid[1] - 1)
@@ -299,7 +299,7 @@ def _add_cells(grid: Index, step: int, cells: Array, corner: Index, place: Index
                         add_block(band, max(p, q), min(p, q), h, 2.0 if p == q and r > s else 1.0)
 
 
-@njit
+@njit_in_place
 def _unpack(block: Array, h: Array) -> None:
     h[0, 0], h[1, 1], h[2, 2] = block[0], block[1], block[2]
     h[0, 1] = h[1, 0] = block[3]
@@ -307,7 +307,7 @@ def _unpack(block: Array, h: Array) -> None:
     h[0, 2] = h[2, 0] = block[5]
 
 
-@njit
+@njit_in_place
 def _along(
     n: int, w: float, count: int, ids: Index, shares: Array, tie_row: Index, tie_start: Index, masters: Index,
     tie_weights: Array, among: Index, share: Array,
@@ -329,7 +329,7 @@ def _along(
     return count
 
 
-@njit
+@njit_in_place
 def _add_all(count: int, among: Index, share: Array, place: Index, h: Array, band: Array) -> None:
     for r in range(count):
         for s in range(count):

@@ -13,18 +13,20 @@ h^2 omega^2 + 2 h gamma / m < 4 for every frequency omega. The contact forces in
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
-from ..jit import njit
+from ..jit import njit_in_place
 from .forces import local_nodes, press, rub
 from .impulses import contact_rows, impel, meeting_nodes, touches
 from .lattice import Lattice
 from .rigid import ride
-from .springs import fastest_stretch, highest_frequency, largest_drag, spring_forces
+from .springs import fastest_stretch, spring_forces
+from .stability import FRESH, FrequencyBound, farthest, highest_frequency
 from .ties import gather, scatter
 from .workspace import Workspace
 
@@ -37,7 +39,7 @@ SAFETY = 0.9
 CLOSEST = 0.97
 """Share of the bound as the lattice is now that the automatic sub-step may take before it is cut."""
 
-CUT = 0.84
+CUT = 0.9
 """The automatic sub-step is that at rest times a power of this: a symplectic rule whose step followed every small
 motion would gain energy."""
 
@@ -50,22 +52,45 @@ does."""
 class LatticeState:
     """What moves: x (N, 3) [L], velocity (N, 3) [L/s], rest_length (13, N) [L], which plastic flow changes.
 
-    workspace : the integrators' memory, no part of the state.
+    bound : of the highest frequency, from which the length of sub-steps comes. workspace : the integrators' memory, no part
+    of the state.
     """
 
     x: Array
     velocity: Array
     rest_length: Array
+    bound: FrequencyBound
     workspace: Workspace = field(default_factory=Workspace, init=False)
 
     @classmethod
     def at_rest(cls, lattice: Lattice) -> LatticeState:
         """The lattice as it was built."""
-        return cls(lattice.nodes.copy(), np.zeros_like(lattice.nodes), lattice.rest_length.copy())
+        bound = FrequencyBound(lattice.highest_frequency, lattice.frequency_scale.copy(), lattice.nodes.copy())
+        return cls(lattice.nodes.copy(), np.zeros_like(lattice.nodes), lattice.rest_length.copy(), bound)
 
     def copy(self) -> LatticeState:
         """A state of its own with the same values."""
-        return LatticeState(self.x.copy(), self.velocity.copy(), self.rest_length.copy())
+        return LatticeState(self.x.copy(), self.velocity.copy(), self.rest_length.copy(), self.bound.copy())
+
+    def arrays(self) -> dict[str, Array]:
+        """The state as arrays by name, views where it can be."""
+        bound = self.bound
+        return {
+            "x": self.x,
+            "velocity": self.velocity,
+            "rest_length": self.rest_length,
+            "bound_square": np.array(bound.square),
+            "bound_scale": bound.scale,
+            "bound_seen": bound.seen,
+        }
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, Array]) -> LatticeState:
+        """The state that `arrays` gave, in copies. Raises KeyError."""
+        x, velocity, rest, scale, seen = (
+            np.array(arrays[name]) for name in ("x", "velocity", "rest_length", "bound_scale", "bound_seen")
+        )
+        return cls(x, velocity, rest, FrequencyBound(float(arrays["bound_square"]), scale, seen))
 
 
 _NO_NODES: Index = np.zeros((0, 4), dtype=np.int64)
@@ -125,20 +150,38 @@ class StepForces:
 def stable_substep(lattice: Lattice, state: LatticeState | None = None, *, safety: float = SAFETY) -> float:
     """The largest sub-step [s] for the lattice as it is in `state` (None: at rest), times `safety`.
 
-    From a bound of the highest frequency (springs.highest_frequency) and the damping; contacts do not enter it.
-    Infinite for a lattice without a free node.
+    From a bound of the highest frequency (stability.py) and the damping; contacts do not enter it. Infinite for a lattice
+    without a free node.
     """
-    square = lattice.highest_frequency
-    if state is not None:
-        state.workspace.fit(lattice, 0)
-        ties = lattice.ties
-        square = highest_frequency(
-            lattice.segments, lattice.stiffness, state.rest_length, lattice.inverse_mass, state.x, state.workspace.scratch,
-            ties.nodes, ties.start, ties.masters, ties.weights,
-        )  # fmt: skip
-    drag = largest_drag(lattice.gamma, lattice.inverse_mass)
+    if state is None:
+        return safety * _largest(lattice.highest_frequency, lattice.highest_drag)
+    return safety * _largest(_bound(lattice, state).square, lattice.highest_drag)
+
+
+def _largest(square: float, drag: float) -> float:
+    """The largest stable sub-step [s] at a squared frequency and gamma / m."""
     bound = drag + math.sqrt(drag * drag + 4.0 * square)
-    return safety * 4.0 / bound if bound > 0.0 else math.inf
+    return 4.0 / bound if bound > 0.0 else math.inf
+
+
+def _bound(lattice: Lattice, state: LatticeState) -> FrequencyBound:
+    """The state's bound as long as no node has moved farther than FRESH, else the bound as it is now, in a copy."""
+    if farthest(state.x, state.bound.seen) <= FRESH * lattice.shortest:
+        return state.bound
+    bound = state.bound.copy()
+    _evaluate(lattice, state, bound)
+    return bound
+
+
+def _evaluate(lattice: Lattice, state: LatticeState, bound: FrequencyBound) -> None:
+    """Bring a bound to where the lattice is now."""
+    state.workspace.fit(lattice, 0)
+    ties = lattice.ties
+    bound.square = highest_frequency(
+        lattice.segments, lattice.stiffness, state.rest_length, lattice.inverse_mass, state.x, bound.scale,
+        state.workspace.scratch, ties.nodes, ties.start, ties.masters, ties.weights,
+    )  # fmt: skip
+    bound.seen[...] = state.x
 
 
 def advance(
@@ -167,7 +210,9 @@ def advance(
     """
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"a step of {dt} s", mend="a step takes a positive time")
-    largest = stable_substep(lattice, state, safety=1.0)
+    if not farthest(state.x, state.bound.seen) <= FRESH * lattice.shortest:
+        _evaluate(lattice, state, state.bound)
+    largest = _largest(state.bound.square, lattice.highest_drag)
     if not largest > 0.0:
         raise SimulationError(_NOT_FINITE, mend=_CALMER)
     if substep is not None and not 0.0 < substep <= largest:
@@ -175,9 +220,9 @@ def advance(
     longest = substep
     if longest is None:
         longest = stable_substep(lattice)
-        while longest > CLOSEST * largest:
+        while dt / _pieces(dt, longest) > CLOSEST * largest:
             longest *= CUT
-    count = max(1, math.ceil(dt / longest * (1.0 - 1e-12)))
+    count = _pieces(dt, longest)
     if load is None:
         load = NO_LOAD
     contacts, work, ties = len(load.nodes), state.workspace, lattice.ties
@@ -235,12 +280,18 @@ def advance(
         work.local_rows,
         work.weight,
         work.moving,
+        lattice.shortest,
         dt / count,
         count,
     )
     if outcome != _DONE:
         raise SimulationError(_SUPERSONIC if outcome == _TOO_FAST else _NOT_FINITE, mend=_CALMER)
     return StepForces(mean_force, end_force, depth, max_speed, dt / count, count)
+
+
+def _pieces(dt: float, longest: float) -> int:
+    """How many equal sub-steps, none longer than `longest`."""
+    return max(1, math.ceil(dt / longest * (1.0 - 1e-12)))
 
 
 _NOT_FINITE = "the lattice's positions are no longer finite"
@@ -262,7 +313,7 @@ NO_LOAD = ContactLoad(
 )
 
 
-@njit
+@njit_in_place
 def _advance(
     segments: Index,
     stiffness: Array,
@@ -313,6 +364,7 @@ def _advance(
     local_rows: Index,
     weight: Array,
     moving_space: Array,
+    shortest: float,
     h: float,
     count: int,
 ) -> tuple[int, float]:
@@ -320,7 +372,7 @@ def _advance(
     largest speed at the end.
     """
     size, contacts = len(inverse_mass), len(nodes)
-    x, v, f, work = scratch[0:3], scratch[3:6], scratch[6:9], scratch[9:11]
+    x, v, f, work = scratch[0:3], scratch[3:6], scratch[6:9], scratch[9:12]
     for a in range(3):
         x[a, 0] = x[a, size + 1] = v[a, 0] = v[a, size + 1] = 0.0
         for n in range(size):
@@ -394,7 +446,9 @@ def _advance(
         for a in range(3):
             finite = finite and math.isfinite(x[a, n]) and math.isfinite(v[a, n])
     finite = finite and square < math.inf
-    if not finite or fastest_stretch(segments, stiffness, initial_length, v) * h > MOST_STRETCH:
+    # no spring stretches faster than its ends move, one against the other
+    fast = 2.0 * math.sqrt(square) * h > MOST_STRETCH * shortest
+    if not finite or (fast and fastest_stretch(segments, stiffness, initial_length, v) * h > MOST_STRETCH):
         if plastic:
             _copy(rest_before, rest_length)
         return _TOO_FAST if finite else _LOST, 0.0
@@ -405,7 +459,7 @@ def _advance(
     return _DONE, math.sqrt(square)
 
 
-@njit
+@njit_in_place
 def _copy(source: Array, target: Array) -> None:
     # element by element: an assignment of arrays would bring numba's own error messages along, two seconds to compile
     for d in range(source.shape[0]):
@@ -413,7 +467,7 @@ def _copy(source: Array, target: Array) -> None:
             target[d, n] = source[d, n]
 
 
-@njit
+@njit_in_place
 def _accelerate(force: Array, gamma: Array, inverse_mass: Array, h: float, velocity: Array) -> None:
     """Eq. 5 and 6; `force` is left with the velocity before. Nodes of inverse mass 0 keep theirs."""
     for n in range(len(velocity)):
@@ -422,7 +476,7 @@ def _accelerate(force: Array, gamma: Array, inverse_mass: Array, h: float, veloc
         force[n] = old
 
 
-@njit
+@njit_in_place
 def _move(velocity: Array, h: float, x: Array) -> None:
     """Eq. 7."""
     for n in range(len(x)):

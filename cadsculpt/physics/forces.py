@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from ..jit import njit
+from ..jit import njit_in_place
 from .lattice import Lattice, grid_shape
 from .material import Material
 
@@ -98,7 +98,7 @@ def cells_around(lattice: Lattice, u: Array, v: Array) -> tuple[Index, Index]:
     return i, j
 
 
-@njit
+@njit_in_place
 def fill_cells(
     nodes_u: Array, nodes_v: Array, period: tuple[float, float], u: Array, v: Array, i: Index, j: Index
 ) -> None:
@@ -107,7 +107,7 @@ def fill_cells(
         i[c], j[c] = _between(nodes_u, period[0], u[c])[0], _between(nodes_v, period[1], v[c])[0]
 
 
-@njit
+@njit_in_place
 def spread_weights(
     nodes_u: Array, nodes_v: Array, period: tuple[float, float], nv: int, nl: int, active: NDArray[np.bool_],
     u: Array, v: Array, nodes: Index, weights: Array,
@@ -136,7 +136,7 @@ def spread_weights(
     return lost
 
 
-@njit
+@njit_in_place
 def _between(nodes: Array, period: float, t: float) -> tuple[int, int, float]:
     """Indices of the nodes before and after t, and how far between them it lies, 0 to 1."""
     count = len(nodes)
@@ -168,7 +168,7 @@ def _nearest_active(lattice: Lattice, u: float, v: float) -> int:
     return int(nodes[np.argmin(gaps[0] ** 2 + gaps[1] ** 2)]) * nl
 
 
-@njit
+@njit_in_place
 def local_nodes(nodes: Index, place: Index, distinct: Index, local: Index) -> int:
     """The number of distinct nodes that contacts (n, 4) touch, in order of appearance in distinct (>= 4 n,), and where each
     contact finds its four there, local (>= n, 4). place (N,) : -1, and left so.
@@ -187,7 +187,7 @@ def local_nodes(nodes: Index, place: Index, distinct: Index, local: Index) -> in
     return count
 
 
-@njit
+@njit_in_place
 def press(
     distinct: Index,
     local: Index,
@@ -227,7 +227,7 @@ def press(
             break
 
 
-@njit
+@njit_in_place
 def _mark(
     distinct: Index,
     local: Index,
@@ -257,7 +257,7 @@ def _mark(
                 _add_part(nodal, local[c, k], h * area[c] * weights[c, k], slope, still, nx, ny, nz)
 
 
-@njit
+@njit_in_place
 def _settle(
     distinct: Index,
     local: Index,
@@ -296,7 +296,7 @@ def _settle(
     return settled
 
 
-@njit
+@njit_in_place
 def _add_part(nodal: Array, m: int, share: float, slope: float, still: float, nx: float, ny: float, nz: float) -> None:
     """Add share * slope * n n to L and -share * still * n to b of one node."""
     gx, gy, gz = share * slope * nx, share * slope * ny, share * slope * nz
@@ -311,7 +311,7 @@ def _add_part(nodal: Array, m: int, share: float, slope: float, still: float, nx
     nodal[m, 8] -= share * still * nz
 
 
-@njit
+@njit_in_place
 def _solve_nodes(distinct: Index, inverse_mass: Array, nodal: Array, velocity: Array) -> None:
     """(m + L) v = m v_free + b at every node by Cramer's rule; the matrix over m has no eigenvalue below 1."""
     for m in range(len(distinct)):
@@ -328,7 +328,7 @@ def _solve_nodes(distinct: Index, inverse_mass: Array, nodal: Array, velocity: A
         velocity[2, n] = (az * rx + bz * ry + (xx * yy - xy * xy) * rz) / determinant
 
 
-@njit
+@njit_in_place
 def rub(
     distinct: Index,
     local: Index,

@@ -23,7 +23,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit_in_place
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -36,7 +36,7 @@ SWEEP_CHANGE = 1e-4
 """Share of the largest impulse: when none changes by more in a turn, the impulses have settled."""
 
 
-@njit
+@njit_in_place
 def contact_rows(
     nodes: Index,
     weights: Array,
@@ -75,7 +75,7 @@ def contact_rows(
     start[len(nodes)] = end
 
 
-@njit
+@njit_in_place
 def _add(first: int, end: int, n: int, w: float, node: Index, weight: Array) -> int:
     for r in range(first, end):
         if node[r] == n:
@@ -85,7 +85,7 @@ def _add(first: int, end: int, n: int, w: float, node: Index, weight: Array) -> 
     return end + 1
 
 
-@njit
+@njit_in_place
 def touches(nodes: Index, row: Index) -> bool:
     """Some of these nodes (n, 4) are tied."""
     if len(row):
@@ -96,7 +96,7 @@ def touches(nodes: Index, row: Index) -> bool:
     return False
 
 
-@njit
+@njit_in_place
 def meeting_nodes(start: Index, node: Index, contacts: int, place: Index, met: Index, local: Index) -> int:
     """The number of distinct nodes in the rows of so many contacts, in order of appearance in met, and where each entry of
     the rows finds its own there, local. place (N,) : -1, and left so.
@@ -114,7 +114,7 @@ def meeting_nodes(start: Index, node: Index, contacts: int, place: Index, met: I
     return count
 
 
-@njit
+@njit_in_place
 def impel(
     met: Index,
     start: Index,

@@ -22,7 +22,7 @@ from .calibrate import OFFSETS, spring_flow
 from .cells import calibrate_cells
 from .fold import check_folds
 from .material import Material
-from .springs import SCRATCH_ROWS, highest_frequency
+from .stability import largest_drag, least_bound
 from .ties import NO_TIES, TiedNodes
 
 Array = NDArray[np.float64]
@@ -47,7 +47,8 @@ class Lattice:
     (none). active (N,) : nodes of at least one cell. inverse_mass (N,) : 0 for nodes that do not move freely.
     cell_active (cu, cv), cell_material (cu, cv, layers) : cells, index into the materials. thickness, spacing :
     thickness and edge of a cube of the mean cell's volume [L]. plastic : some spring can yield. right_handed : (u, v,
-    inward) is. highest_frequency : an upper bound of the squared angular frequencies at rest [1/s^2]. segments (M, 4)
+    inward) is. highest_frequency : an upper bound of the squared angular frequencies at rest [1/s^2], frequency_scale
+    (N,) : what gives it (stability.py). highest_drag : the largest gamma / m [1/s]. shortest : spring [L]. segments (M, 4)
     : direction, start, stop, shift: runs of springs (d, n), n in [start, stop), that end at n + shift. ties : nodes that
     follow others (assembly.py). free (b, 3) : what nothing holds, as runs of nodes: body, first node, last node + 1, the
     runs of a body one behind the other. grids : first node, shape and wrap of each lattice that this one is assembled from
@@ -79,6 +80,9 @@ class Lattice:
     right_handed: bool
     segments: Index
     highest_frequency: float
+    frequency_scale: Array
+    highest_drag: float
+    shortest: float
     metres_per_unit: float
     ties: TiedNodes = NO_TIES
     free: Index = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
@@ -175,11 +179,7 @@ def build_lattice(
     inverse_mass = np.zeros(count)
     free = active & ~held
     inverse_mass[free] = 1.0 / mass[free]
-    scratch = np.empty((SCRATCH_ROWS, count + 2))
-    frequency = highest_frequency(
-        segments, stiffness, rest_length, inverse_mass, nodes, scratch,
-        NO_TIES.nodes, NO_TIES.start, NO_TIES.masters, NO_TIES.weights,
-    )  # fmt: skip
+    frequency, scale = least_bound(segments, stiffness, rest_length, inverse_mass, nodes, NO_TIES)
     return Lattice(
         shape=(nu, nv, nl),
         wrap=(bool(wrap[0]), bool(wrap[1])),
@@ -206,6 +206,9 @@ def build_lattice(
         right_handed=right_handed,
         segments=segments,
         highest_frequency=frequency,
+        frequency_scale=scale,
+        highest_drag=largest_drag(gamma, inverse_mass),
+        shortest=float(rest_length[rest_length > 0.0].min(initial=math.inf)),
         metres_per_unit=float(metres_per_unit),
         free=np.array([] if (held & active).any() else [(0, 0, count)], dtype=np.int64).reshape(-1, 3),
     )

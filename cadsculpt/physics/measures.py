@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit_in_place
 from .explicit import LatticeState
 from .lattice import Lattice
 from .springs import spring_energy
@@ -63,7 +63,7 @@ def _measures(lattice: Lattice, state: LatticeState) -> tuple[Array, Array, Arra
     return strain, plastic, stress
 
 
-@njit
+@njit_in_place
 def _gather(
     segments: Index,
     stiffness: Array,

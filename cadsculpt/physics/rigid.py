@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit_in_place
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -80,7 +80,7 @@ def body_modes(free: Index, gamma: Array, x: Array) -> tuple[Array, Array]:
     return modes, core
 
 
-@njit
+@njit_in_place
 def _body_motion(free: Index, first: int, last: int, weight: Array, x: Array, v: Array, out: Array) -> bool:
     """`rigid_motion` of the nodes in rows first to last of free, x and v (3, N + 2) padded: into out[0:9]. False without
     weight.
@@ -124,7 +124,7 @@ def _body_motion(free: Index, first: int, last: int, weight: Array, x: Array, v:
     return True
 
 
-@njit
+@njit_in_place
 def ride(free: Index, gamma: Array, frame_velocity: Array, x: Array, v: Array, force: Array, out: Array) -> None:
     """Add gamma times the rigid motion of its body to the force on every free node, so that damping acts on the rest.
 

@@ -1,4 +1,4 @@
-"""The springs of a lattice: forces g of paper eq. 4, plastic flow, energy and the stiffest frequency.
+"""The springs of a lattice: forces g of paper eq. 4, plastic flow and energy.
 
 Shared by both integrators. Kernels take positions as three padded rows: node n stands at index n + 1 of x[0], x[1],
 x[2], because a run of springs (Lattice.segments) may look one node beyond the arrays. The loops over a run are short,
@@ -13,13 +13,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit_in_place
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-SCRATCH_ROWS = 13
-"""Rows of N + 2 numbers that `highest_frequency` and the integrators work in."""
 
 TINY = 1e-300
 """Added to squared lengths: springs between two nodes of one point have no direction, and no force either."""
@@ -33,7 +30,7 @@ LEAST_TANGENT = 1e-3
 """Of a spring's stiffness: what a spring that flows without hardening keeps in the tangent, so that it can be solved."""
 
 
-@njit
+@njit_in_place
 def _lengths(xa: Array, xb: Array, ya: Array, yb: Array, za: Array, zb: Array, length: Array) -> None:
     for m in range(len(length)):
         dx = xb[m] - xa[m]
@@ -42,7 +39,7 @@ def _lengths(xa: Array, xb: Array, ya: Array, yb: Array, za: Array, zb: Array, l
         length[m] = math.sqrt(dx * dx + dy * dy + dz * dz + TINY)
 
 
-@njit
+@njit_in_place
 def _flow(length: Array, initial: Array, strain: Array, hardening: Array, rest: Array) -> None:
     """Return mapping in one dimension with linear kinematic hardening (Simo and Hughes 1998, box 1.5), per spring.
 
@@ -58,26 +55,63 @@ def _flow(length: Array, initial: Array, strain: Array, hardening: Array, rest: 
         rest[m] = min(max(rest[m] + over, SHORTEST * initial[m]), LONGEST * initial[m])
 
 
-@njit
-def _tension(stiffness: Array, rest: Array, length: Array, q: Array) -> None:
-    """Force per unit of the spring's vector: k (L - L_p) / L."""
-    for m in range(len(q)):
-        q[m] = stiffness[m] * np.divide(length[m] - rest[m], length[m])
+@njit_in_place
+def _pulls(
+    xa: Array, xb: Array, ya: Array, yb: Array, za: Array, zb: Array, stiffness: Array, rest: Array,
+    px: Array, py: Array, pz: Array,
+) -> None:  # fmt: skip
+    """The forces of a run of springs on their first nodes: k (L - L_p) along the spring."""
+    for m in range(len(rest)):
+        dx = xb[m] - xa[m]
+        dy = yb[m] - ya[m]
+        dz = zb[m] - za[m]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz + TINY)
+        q = stiffness[m] * np.divide(length - rest[m], length)
+        px[m] = q * dx
+        py[m] = q * dy
+        pz[m] = q * dz
 
 
-@njit
-def _pull(q: Array, start: Array, end: Array, force: Array) -> None:
-    for m in range(len(q)):
-        force[m] += q[m] * (end[m] - start[m])
+@njit_in_place
+def _flowing_pulls(
+    xa: Array, xb: Array, ya: Array, yb: Array, za: Array, zb: Array, stiffness: Array, rest: Array,
+    initial: Array, strain: Array, hardening: Array, px: Array, py: Array, pz: Array,
+) -> None:  # fmt: skip
+    """`_flow` and `_pulls` in one pass: what both take from memory is most of their time."""
+    for m in range(len(rest)):
+        dx = xb[m] - xa[m]
+        dy = yb[m] - ya[m]
+        dz = zb[m] - za[m]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz + TINY)
+        soft = 1.0 - hardening[m]
+        trial = soft * length - rest[m] + hardening[m] * initial[m]
+        limit = soft * strain[m] * initial[m]
+        over = trial - limit if trial > limit else (trial + limit if trial < -limit else 0.0)
+        now = min(max(rest[m] + over, SHORTEST * initial[m]), LONGEST * initial[m])
+        rest[m] = now
+        q = stiffness[m] * np.divide(length - now, length)
+        px[m] = q * dx
+        py[m] = q * dy
+        pz[m] = q * dz
 
 
-@njit
-def _push(q: Array, start: Array, end: Array, force: Array) -> None:
-    for m in range(len(q)):
-        force[m] -= q[m] * (end[m] - start[m])
+@njit_in_place
+def add_three(fx: Array, fy: Array, fz: Array, px: Array, py: Array, pz: Array) -> None:
+    for m in range(len(fx)):
+        fx[m] += px[m]
+        fy[m] += py[m]
+        fz[m] += pz[m]
 
 
-@njit
+@njit_in_place
+def _subtract(fx: Array, fy: Array, fz: Array, px: Array, py: Array, pz: Array) -> None:
+    for m in range(len(fx)):
+        fx[m] -= px[m]
+        fy[m] -= py[m]
+        fz[m] -= pz[m]
+
+
+@njit_in_place
 def spring_forces(
     segments: Index,
     stiffness: Array,
@@ -92,24 +126,29 @@ def spring_forces(
 ) -> None:
     """Add the forces of all springs, -g of eq. 4, to force (3, N + 2) for positions x (3, N + 2), both padded.
 
-    When `plastic`, springs strained beyond their yield flow first: rest_length (13, N) moves. work (2, >= longest run).
+    When `plastic`, springs strained beyond their yield flow first: rest_length (13, N) moves. work (3, >= longest run).
     """
     for row in range(len(segments)):
         d, start, stop, shift = segments[row]
         a, b = start + 1, stop + 1
         c, e = a + shift, b + shift
-        length, q = work[0, : stop - start], work[1, : stop - start]
-        rest = rest_length[d, start:stop]
-        _lengths(x[0, a:b], x[0, c:e], x[1, a:b], x[1, c:e], x[2, a:b], x[2, c:e], length)
+        px, py, pz = work[0, : stop - start], work[1, : stop - start], work[2, : stop - start]
         if plastic:
-            _flow(length, initial_length[d, start:stop], yield_strain[d, start:stop], hardening[d, start:stop], rest)
-        _tension(stiffness[d, start:stop], rest, length, q)
-        for axis in range(3):
-            _pull(q, x[axis, a:b], x[axis, c:e], force[axis, a:b])
-            _push(q, x[axis, a:b], x[axis, c:e], force[axis, c:e])
+            _flowing_pulls(
+                x[0, a:b], x[0, c:e], x[1, a:b], x[1, c:e], x[2, a:b], x[2, c:e],
+                stiffness[d, start:stop], rest_length[d, start:stop],
+                initial_length[d, start:stop], yield_strain[d, start:stop], hardening[d, start:stop], px, py, pz,
+            )  # fmt: skip
+        else:
+            _pulls(
+                x[0, a:b], x[0, c:e], x[1, a:b], x[1, c:e], x[2, a:b], x[2, c:e],
+                stiffness[d, start:stop], rest_length[d, start:stop], px, py, pz,
+            )  # fmt: skip
+        add_three(force[0, a:b], force[1, a:b], force[2, a:b], px, py, pz)
+        _subtract(force[0, c:e], force[1, c:e], force[2, c:e], px, py, pz)
 
 
-@njit
+@njit_in_place
 def spring_tangents(
     segments: Index,
     stiffness: Array,
@@ -204,7 +243,7 @@ def spring_tangents(
             blocks[d, n, 5] = along * uz * ux
 
 
-@njit
+@njit_in_place
 def spring_energy(segments: Index, stiffness: Array, x: Array, rest_length: Array) -> float:
     """Elastic energy, the sum of k (L - L_p)^2 / 2 [N L]; x (N, 3)."""
     energy = 0.0
@@ -217,120 +256,12 @@ def spring_energy(segments: Index, stiffness: Array, x: Array, rest_length: Arra
     return energy
 
 
-@njit
+@njit_in_place
 def _distance(x: Array, a: int, b: int) -> float:
     return math.sqrt((x[b, 0] - x[a, 0]) ** 2 + (x[b, 1] - x[a, 1]) ** 2 + (x[b, 2] - x[a, 2]) ** 2)
 
 
-@njit
-def _tangent(stiffness: Array, rest: Array, length: Array, side: Array, along: Array) -> None:
-    """H = side + along d d of springs with vector d: side = k max(0, 1 - L_p / L), along = (k - side) / L^2."""
-    for m in range(len(side)):
-        ratio = np.divide(rest[m], length[m])
-        side[m] = stiffness[m] * (1.0 - ratio) if ratio < 1.0 else 0.0
-        along[m] = np.divide(stiffness[m] - side[m], length[m] * length[m])
-
-
-@njit
-def _weigh(root_a: Array, root_b: Array, values: Array) -> None:
-    for m in range(len(values)):
-        values[m] *= root_a[m] + root_b[m]
-
-
-@njit
-def _add_square(along: Array, side: Array, start: Array, end: Array, total: Array) -> None:
-    for m in range(len(total)):
-        total[m] += along[m] * (end[m] - start[m]) * (end[m] - start[m]) + side[m]
-
-
-@njit
-def _add_product(along: Array, xa: Array, xb: Array, ya: Array, yb: Array, total: Array) -> None:
-    for m in range(len(total)):
-        total[m] += along[m] * (xb[m] - xa[m]) * (yb[m] - ya[m])
-
-
-@njit
-def highest_frequency(
-    segments: Index,
-    stiffness: Array,
-    rest_length: Array,
-    inverse_mass: Array,
-    positions: Array,
-    work: Array,
-    tied: Index,
-    start: Index,
-    masters: Index,
-    weights: Array,
-) -> float:
-    """An upper bound of the squared angular frequencies [1/s^2] of the lattice at positions (N, 3).
-
-    A spring of tangent H between nodes a and b puts H / m_a on the diagonal of M^-1/2 K M^-1/2 and -H / sqrt(m_a m_b)
-    beside it, so that no eigenvalue exceeds the largest one of any node's 3 x 3 matrix sum_s H (1 / m_a + 1 /
-    sqrt(m_a m_b)) (Gershgorin by blocks); in a regular lattice's inside the bound is reached. A held node counts as
-    infinitely heavy. H = k (n n + max(0, 1 - L_p / L) (1 - n n)): the parts of a compressed spring that push sideways
-    only lower the frequency. work (SCRATCH_ROWS, N + 2).
-
-    That bound is one of quadratic forms: u.K u <= sum_a u_a.D_a u_a, D_a = sum_s H (1 + sqrt(m_a / m_b)), for any positive
-    m. A tied node's u_a = sum_k w_k u_k has u_a.D_a u_a <= sum_k w_k u_k.D_a u_k (Jensen), so that D_a goes to its masters
-    by their weights, m_a being any number: that of the masters. tied, start, masters, weights : of `TiedNodes`.
-
-    An eigenvalue of a symmetric 3 x 3 matrix is at most m + sqrt(2) s, m their mean and s their standard deviation.
-    """
-    size = len(inverse_mass)
-    x, root = work[0:3], work[12]
-    work[:, :] = 0.0
-    for n in range(size):
-        root[n + 1] = math.sqrt(inverse_mass[n])
-        for axis in range(3):
-            x[axis, n + 1] = positions[n, axis]
-    for s in range(len(tied)):
-        mass = 0.0
-        for e in range(start[s], start[s + 1]):
-            if inverse_mass[masters[e]] > 0.0:
-                mass += weights[e] / inverse_mass[masters[e]]
-        root[tied[s] + 1] = 1.0 / math.sqrt(mass) if mass > 0.0 else 0.0
-    for row in range(len(segments)):
-        d, first, stop, shift = segments[row]
-        a, b = first + 1, stop + 1
-        c, e = a + shift, b + shift
-        length, side, along = work[9, : stop - first], work[10, : stop - first], work[11, : stop - first]
-        _lengths(x[0, a:b], x[0, c:e], x[1, a:b], x[1, c:e], x[2, a:b], x[2, c:e], length)
-        _tangent(stiffness[d, first:stop], rest_length[d, first:stop], length, side, along)
-        _weigh(root[a:b], root[c:e], side)
-        _weigh(root[a:b], root[c:e], along)
-        for i in range(3):
-            j = (i + 1) % 3
-            for low, high in ((a, b), (c, e)):
-                _add_square(along, side, x[i, a:b], x[i, c:e], work[3 + i, low:high])
-                _add_product(along, x[i, a:b], x[i, c:e], x[j, a:b], x[j, c:e], work[6 + i, low:high])
-    for s in range(len(tied)):
-        if root[tied[s] + 1] > 0.0:
-            for e in range(start[s], start[s + 1]):
-                share = weights[e] * root[masters[e] + 1] / root[tied[s] + 1]
-                for i in range(3, 9):
-                    work[i, masters[e] + 1] += share * work[i, tied[s] + 1]
-    worst = 0.0
-    for n in range(size):
-        if inverse_mass[n] > 0.0:
-            xx, yy, zz = work[3, n + 1], work[4, n + 1], work[5, n + 1]
-            xy, yz, zx = work[6, n + 1], work[7, n + 1], work[8, n + 1]
-            mean = (xx + yy + zz) / 3.0
-            square = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + yz * yz + zx * zx)) / 3.0
-            bound = mean + math.sqrt(2.0 * max(0.0, square - mean * mean))
-            worst = max(worst, bound * root[n + 1])
-    return worst
-
-
-@njit
-def largest_drag(gamma: Array, inverse_mass: Array) -> float:
-    """The largest gamma / m [1/s] of any node."""
-    worst = 0.0
-    for n in range(len(gamma)):
-        worst = max(worst, gamma[n] * inverse_mass[n])
-    return worst
-
-
-@njit
+@njit_in_place
 def fastest_stretch(segments: Index, stiffness: Array, initial_length: Array, velocity: Array) -> float:
     """The largest |relative velocity of a spring's ends| / initial length [1/s]; velocity (3, N + 2), padded. Infinite for
     a NaN.

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit, njit_in_place
 from .coarse import CoarseSpace, add_block
 from .lattice import Lattice
 from .numbering import Numbering
@@ -287,7 +287,7 @@ def _column_inverses(lattice: Lattice, tangent: Tangent, free: NDArray[np.bool_]
     return precondition
 
 
-@njit
+@njit_in_place
 def _apply_columns(nodes: Index, inverse: Array, r: Array, z: Array) -> None:
     """z (N, 3) = inverse (c, 3 l, 3 l) of r (N, 3) in columns of nodes (c, l)."""
     for c in range(len(nodes)):
@@ -301,7 +301,7 @@ def _apply_columns(nodes: Index, inverse: Array, r: Array, z: Array) -> None:
                 z[nodes[c, k], a] = total
 
 
-@njit
+@njit_in_place
 def _add_diagonals(segments: Index, stiffness: Array, blocks: Array, diagonal: Array) -> None:
     for row in range(len(segments)):
         d, start, stop, shift = segments[row]
@@ -322,7 +322,7 @@ def _add_diagonals(segments: Index, stiffness: Array, blocks: Array, diagonal: A
                 h[2, 0] += zx
 
 
-@njit
+@njit_in_place
 def _multiply(segments: Index, stiffness: Array, blocks: Array, x: Array, product: Array) -> None:
     """Add the springs' part of K x to product (N, 3)."""
     for row in range(len(segments)):

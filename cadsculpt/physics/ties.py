@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..jit import njit
+from ..jit import njit_in_place
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -211,7 +211,7 @@ def bodies(parts: Sequence[int], ties: TiedNodes) -> list[int]:
     return [root(k) for k in range(len(parts))]
 
 
-@njit
+@njit_in_place
 def gather(nodes: Index, start: Index, masters: Index, weights: Array, f: Array) -> None:
     """Add the values of tied nodes in f (3, N + 2), padded, to their masters', and leave 0."""
     for s in range(len(nodes)):
@@ -222,7 +222,7 @@ def gather(nodes: Index, start: Index, masters: Index, weights: Array, f: Array)
             f[a, n] = 0.0
 
 
-@njit
+@njit_in_place
 def scatter(nodes: Index, start: Index, masters: Index, weights: Array, v: Array) -> None:
     """Give tied nodes in v (3, N + 2), padded, the mean of their masters' values."""
     for s in range(len(nodes)):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .lattice import Lattice
-from .springs import SCRATCH_ROWS
+from .stability import SCRATCH_ROWS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

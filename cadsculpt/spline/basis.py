@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit, njit_in_place
 
 Array = NDArray[np.float64]
 
@@ -13,7 +13,7 @@ MAX_DEGREE = 32
 """Highest degree that the kernels' stack buffers take; CAD systems stop at 25."""
 
 
-@njit
+@njit_in_place
 def find_span(knots: Array, degree: int, count: int, t: float) -> int:
     """Index i with knots[i] <= t < knots[i+1], clamped to the domain; a t outside uses the end span (A2.1)."""
     if not t < knots[count]:

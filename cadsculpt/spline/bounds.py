@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit_in_place
 from .matrices import breakpoints
 from .surface import BSplineSurface
 
@@ -60,7 +60,7 @@ def sag_triangles(bounds: Array, hu: float, hv: float) -> Array:
     return sag_bilinear(bounds, hu, hv) + hu * hv * np.asarray(bounds[..., S_UV]) / 4.0
 
 
-@njit
+@njit_in_place
 def span_bounds(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, i0: int, j0: int, rational: bool, out: Array
 ) -> None:
@@ -114,7 +114,7 @@ def span_bounds(
             out[k] = min(out[k], separable_bound(net, knots_u, knots_v, p, q, i0, j0, k))
 
 
-@njit
+@njit_in_place
 def longest_difference(
     net: Array, knots_u: Array, knots_v: Array, p: int, q: int, i0: int, j0: int, rational: bool, k: int,
     cx: float, cy: float, cz: float,
@@ -143,7 +143,7 @@ def longest_difference(
     return np.sqrt(longest), steepest
 
 
-@njit
+@njit_in_place
 def separable_bound(net: Array, knots_u: Array, knots_v: Array, p: int, q: int, i0: int, j0: int, k: int) -> float:
     """A bound on S_u, S_v or S_uv (k) where the span's weights are products a_i b_j, as in every surface of revolution,
     extrusion and quadric; infinite elsewhere.
@@ -180,7 +180,7 @@ def separable_bound(net: Array, knots_u: Array, knots_v: Array, p: int, q: int, 
     return float(ratio * ratio * np.sqrt(longest))
 
 
-@njit
+@njit_in_place
 def difference(knots: Array, p: int, i: int, order: int) -> tuple[float, float, float]:
     """The factors of control points i, i+1, i+2 in control point i of the derivative net of that order (0, 1, 2)."""
     if order == 0:

@@ -20,7 +20,7 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 
 from ..errors import GeometryError
-from ..jit import njit
+from ..jit import njit_in_place
 from .matrices import design_matrix
 from .surface import BSplineSurface
 
@@ -209,7 +209,7 @@ def _reach(matrix: Array) -> NDArray[np.int64]:
     return np.stack([used.argmax(axis=1), matrix.shape[1] - used[:, ::-1].argmax(axis=1)], axis=1)
 
 
-@njit
+@njit_in_place
 def moved_box(
     displacement: Array, square: float, reach_u: NDArray[np.int64], reach_v: NDArray[np.int64], box: NDArray[np.int64]
 ) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import njit
+from ..jit import njit, njit_in_place
 from .bounds import S_UU, derivative_bounds
 from .surface import BSplineSurface, TrimCurve
 from .trim import curve_points
@@ -223,7 +223,7 @@ def classify(
                 out[k] = ON
 
 
-@njit
+@njit_in_place
 def border_meets(
     chords: Array, deviation: Array, box: Array, s0: float, s1: float, t0: float, t1: float, stack: Index
 ) -> bool:
@@ -255,7 +255,7 @@ def border_meets(
     return False
 
 
-@njit
+@njit_in_place
 def odd(chords: Array, box: Array, s: float, t: float, stack: Index) -> bool:
     """Even-odd rule: the chords that cross the ray from (s, t) towards larger s are odd in number."""
     leaves = (len(box) + 1) // 2

@@ -16,7 +16,7 @@ from cadsculpt.physics.calibrate import OFFSETS
 from cadsculpt.physics.explicit import ContactLoad
 from cadsculpt.physics.lattice import Lattice, build_lattice, spring_segments
 from cadsculpt.physics.material import Material
-from cadsculpt.physics.springs import SCRATCH_ROWS, highest_frequency
+from cadsculpt.physics.stability import largest_drag, least_bound
 from cadsculpt.physics.ties import NO_TIES
 
 Array = NDArray[np.float64]
@@ -87,11 +87,7 @@ def chain() -> Callable[..., Lattice]:
         anchored = np.isin(np.arange(n), held)
         inverse_mass = np.where(anchored, 0.0, 1.0 / mass)
         segments = spring_segments((n, 1, 1), (False, False))
-        scratch = np.empty((SCRATCH_ROWS, n + 2))
-        frequency = highest_frequency(
-            segments, springs, lengths, inverse_mass, nodes, scratch,
-            NO_TIES.nodes, NO_TIES.start, NO_TIES.masters, NO_TIES.weights,
-        )  # fmt: skip
+        frequency, scale = least_bound(segments, springs, lengths, inverse_mass, nodes, NO_TIES)
         return Lattice(
             shape=(n, 1, 1),
             wrap=(False, False),
@@ -118,6 +114,9 @@ def chain() -> Callable[..., Lattice]:
             right_handed=True,
             segments=segments,
             highest_frequency=frequency,
+            frequency_scale=scale,
+            highest_drag=largest_drag(gamma * mass, inverse_mass),
+            shortest=1.0,
             metres_per_unit=MM,
             free=np.array([] if held else [(0, 0, n)], dtype=np.int64).reshape(-1, 3),
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -193,7 +194,7 @@ def test_solid_bar_flows_at_its_yield_stress(slab: Callable[..., Lattice]) -> No
 
 @pytest.mark.parametrize("seed", range(6))
 def test_stable_substep_is_safe_and_not_timid(slab: Callable[..., Lattice], tangent: Any, seed: int) -> None:
-    """Random distorted, strained lattices: the bound lies between 0.6 and 1 of the true limit 2 / omega_max."""
+    """Random distorted, strained lattices: the bound lies between 0.8 and 1 of the true limit 2 / omega_max."""
     rng = np.random.default_rng(seed)
     steps = tuple(rng.uniform(0.5, 1.5, 3))
     lattice = slab(
@@ -204,7 +205,7 @@ def test_stable_substep_is_safe_and_not_timid(slab: Callable[..., Lattice], tang
     root = np.repeat(np.sqrt(lattice.inverse_mass), 3)
     square = np.linalg.eigvalsh(root[:, None] * tangent(lattice, state.x).toarray() * root)[-1]
     limit = 2.0 / math.sqrt(square)
-    assert 0.6 * limit < stable_substep(lattice, state, safety=1.0) <= limit * (1 + 1e-12)
+    assert 0.8 * limit < stable_substep(lattice, state, safety=1.0) <= limit * (1 + 1e-12)
     assert stable_substep(lattice, state) == pytest.approx(SAFETY * stable_substep(lattice, state, safety=1.0))
 
 
@@ -363,3 +364,38 @@ def test_bad_steps_are_refused(chain: Callable[..., Lattice], dt: float) -> None
     lattice = chain([1.0, 1.0], [1.0])
     with pytest.raises(InputError, match="positive time"):
         advance(lattice, LatticeState.at_rest(lattice), None, dt)
+
+
+def test_the_bound_is_evaluated_again_before_it_is_wrong(
+    slab: Callable[..., Lattice], contact: Callable[..., ContactLoad], tangent: Any
+) -> None:
+    """While a slab of clay is crushed, what the sub-step is taken from stays within a percent of a bound that is evaluated at
+    every step, which never lies below the true frequency nor far above it."""
+    lattice = slab(7, 7, 3, base=True, material=PRESETS["clay"])
+    state = LatticeState.at_rest(lattice)
+    u, v = (x.ravel() for x in np.meshgrid(*[np.linspace(1.5, 4.5, 9)] * 2))
+    nodes, weights = node_weights(lattice, u, v)
+    stiffness = contact_stiffness(PRESETS["clay"], 3.0, 1.0, 1e-3)
+    calls = 0
+    for k in range(200):
+        depth = np.einsum("nk,nk->n", weights, state.x[nodes][..., 2]) + 0.005 * k
+        load = contact(
+            nodes, weights, depth=depth, area=0.14, velocity=(2.0, 0.0, -5.0), stiffness=stiffness, friction=0.4
+        )
+        seen = state.bound.seen.copy()
+        advance(lattice, state, load, 1e-3)
+        calls += not np.array_equal(seen, state.bound.seen)
+        fresh = state.bound.copy()
+        fresh.seen[:] = np.inf
+        used, state.bound = state.bound, fresh
+        now = stable_substep(lattice, state, safety=1.0)
+        state.bound = used
+        assert stable_substep(lattice, state, safety=1.0) <= 1.01 * now
+        if k % 50 == 49:
+            root = np.repeat(np.sqrt(lattice.inverse_mass), 3)
+            matrix = tangent(replace(lattice, rest_length=state.rest_length), state.x).toarray()
+            square = float(np.linalg.eigvalsh(root[:, None] * matrix * root)[-1])
+            limit = 4.0 / (lattice.highest_drag + math.sqrt(lattice.highest_drag**2 + 4.0 * square))
+            assert 0.9 * limit < now <= limit * (1 + 1e-12)
+    assert 5 < calls < 150
+    assert np.abs(state.x - lattice.nodes).max() > 0.3
