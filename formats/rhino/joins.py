@@ -98,7 +98,8 @@ def parts_of(chunk: bytes, domain: tuple[float, float], version: int) -> tuple[l
         shares = _shares(breaks, place)
         if shares is None:
             continue
-        parts, own = [], 0
+        parts: list[Part] = []
+        own = 0
         for i, (segment, share) in enumerate(zip(segments, shares, strict=True)):
             piece = chunk[segment.start : segment.end]
             if i == place:

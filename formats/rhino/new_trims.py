@@ -134,9 +134,7 @@ def drawn_loop(
             before[k] = _join(nets[k], arriving, leaving, at_start=True, straight=straight)
         else:
             after[k - 1] = _join(nets[k - 1], arriving, leaving, at_start=False, straight=straight)
-    strings: list[list[Piece]] = [
-        [piece for piece in (before[k], nets[k], after[k]) if piece is not None] for k in range(len(nets))
-    ]
+    strings = [[*_present(before[k]), nets[k], *_present(after[k])] for k in range(len(nets))]
 
     def moved(k: int) -> float:
         if whole or curves[k] is given[k]:
@@ -145,8 +143,8 @@ def drawn_loop(
 
     found = []
     for k, (earlier, later) in _absorbing(inside, kept, iso).items():
-        first = [piece for i in earlier for piece in strings[i]] + ([] if before[k] is None else [before[k]])
-        last = ([] if after[k] is None else [after[k]]) + [piece for i in later for piece in strings[i]]
+        first = [piece for i in earlier for piece in strings[i]] + _present(before[k])
+        last = _present(after[k]) + [piece for i in later for piece in strings[i]]
         pieces = [*first, nets[k], *last]
         found.append(
             DrawnTrim(
@@ -187,6 +185,10 @@ def _absorbing(
             back = cost[0] < cost[1] or (cost[0] == cost[1] and k > host)
             found[host if back else following][1 if back else 0].append(k)
     return found
+
+
+def _present(join: Array | None) -> list[Piece]:
+    return [] if join is None else [join]
 
 
 def _end(piece: Piece, place: int) -> Array:
